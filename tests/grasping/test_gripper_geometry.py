@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+
+from xray_drake.grasping.gripper_geometry import (
+    GripperParameters,
+    finger_position,
+    load_gripper_geometry,
+)
+from xray_drake.resources import models_dir
+
+SDF = models_dir() / "gripper" / "gripper.sdf"
+
+
+@pytest.fixture(scope="module")
+def plant():
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(SDF)
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("gripper_base"))
+    plant.Finalize()
+    return plant
+
+
+def test_published_figures(plant):
+    context = plant.CreateDefaultContext()
+    assert plant.CalcTotalMass(context) == pytest.approx(0.23)
+    np.testing.assert_allclose(
+        plant.CalcCenterOfMassPositionInWorld(context),
+        [0.0087, 0.0123, 0.0492],
+        atol=2e-4,
+    )
+    gripper = load_gripper_geometry()
+    np.testing.assert_allclose(gripper.X_BJ[:3, 3], [0, 0, 0.1142])
+    for name in ("left_finger_joint", "right_finger_joint"):
+        joint = plant.GetJointByName(name)
+        actuator = plant.GetJointActuatorByName(name)
+        assert actuator.effort_limit() == GripperParameters().force
+        np.testing.assert_allclose(joint.position_lower_limits(), 0.0)
+        np.testing.assert_allclose(joint.position_upper_limits(), 0.025)
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.02, 0.05])
+def test_opening_and_joint_positions(plant, opening):
+    context = plant.CreateDefaultContext()
+    if opening < 0.05:
+        for name in ("left_finger_joint", "right_finger_joint"):
+            plant.GetJointByName(name).set_translation(
+                context, finger_position(opening)
+            )
+    y = [
+        plant.GetBodyByName(name).EvalPoseInWorld(context).translation()[1]
+        for name in ("left_finger", "right_finger")
+    ]
+    assert y[0] - y[1] - 0.008 == pytest.approx(opening)
+
+
+def test_boxes_and_frames():
+    gripper = load_gripper_geometry()
+    assert gripper.tip_length == pytest.approx(0.003)
+    assert sorted(gripper.closing) == [-1, 0, 0, 0, 1]
+    assert gripper.round.sum() == 2
+    assert np.all(gripper.upper > gripper.lower)
+    # The cup's lip is the farthest point to its side, and looks that way.
+    assert gripper.X_BC[0, 3] == pytest.approx(gripper.upper[:, 0].max())
+    np.testing.assert_allclose(gripper.X_BC[:3, 2], [1, 0, 0], atol=1e-12)
+
+
+def test_a_mesh_is_refused(tmp_path):
+    text = SDF.read_text().replace(
+        "<box><size>0.060 0.080 0.070</size></box>",
+        "<sphere><radius>0.03</radius></sphere>",
+    )
+    path = tmp_path / "gripper.sdf"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="boxes and cylinders"):
+        load_gripper_geometry(path)
+
+
+def test_a_crooked_box_is_refused(tmp_path):
+    text = SDF.read_text().replace(
+        "<pose>0 0 0.035 0 0 0</pose>", "<pose>0 0 0.035 0.1 0 0</pose>"
+    )
+    path = tmp_path / "gripper.sdf"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="not aligned"):
+        load_gripper_geometry(path)

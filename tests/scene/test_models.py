@@ -1,0 +1,161 @@
+import numpy as np
+import pytest
+from pydrake.geometry import Box, Role
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from xray_drake.resources import models_dir
+from xray_drake.scene.parsing import ConfigureParser, configure_parser
+
+
+def parse(name, *, weld=False):
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.001)
+    parser = Parser(plant)
+    configure_parser(parser)
+    parser.AddModelsFromUrl(f"package://xray_drake_models/{name}/{name}.sdf")
+    if weld:
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(name))
+    plant.Finalize()
+    return plant, scene_graph, builder
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("bin", (0.50, 0.40, 0.12)), ("tote", (0.36, 0.36, 0.12))],
+)
+def test_inside_is_as_the_protocol_says(name, size):
+    _, scene_graph, builder = parse(name, weld=True)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    query = scene_graph.get_query_output_port().Eval(
+        scene_graph.GetMyContextFromRoot(context)
+    )
+
+    def clearance(point):
+        results = query.ComputeSignedDistanceToPoint(point, threshold=1.0)
+        return min(result.distance for result in results)
+
+    x, y, z = np.array(size) / [2, 2, 1]
+    for sign in (-1, 1):
+        assert clearance([sign * (x - 0.03), 0, 0.06]) == pytest.approx(0.03)
+        assert clearance([0, sign * (y - 0.03), 0.06]) == pytest.approx(0.03)
+        assert clearance([sign * (x + 0.005), 0, z - 0.005]) < 0
+        assert clearance([sign * (x + 0.005), 0, z + 0.01]) == pytest.approx(
+            0.01
+        )
+    assert clearance([0, 0, 0.02]) == pytest.approx(0.02)
+    assert clearance([0, 0, -0.005]) == pytest.approx(-0.005)
+    assert clearance([x + 0.005, y + 0.005, 0.06]) < 0  # closed corners
+
+
+@pytest.mark.parametrize("name", ["bin", "tote"])
+def test_one_link_of_rigid_boxes_seen_and_felt_alike(name):
+    plant, scene_graph, _ = parse(name)
+    inspector = scene_graph.model_inspector()
+    body = plant.GetBodyByName(name)
+    assert plant.num_bodies() == 2
+    assert plant.num_velocities() == 6  # free until the caller welds it
+    assert body.default_mass() > 0.5
+
+    def boxes(ids):
+        found = {}
+        for geometry in ids:
+            shape = inspector.GetShape(geometry)
+            assert isinstance(shape, Box)
+            pose = inspector.GetPoseInFrame(geometry)
+            found[tuple(pose.translation())] = tuple(shape.size())
+        return found
+
+    collisions = plant.GetCollisionGeometriesForBody(body)
+    visuals = plant.GetVisualGeometriesForBody(body)
+    assert boxes(collisions) == boxes(visuals)
+    assert len(collisions) == 5
+    for geometry in collisions:
+        properties = inspector.GetProximityProperties(geometry)
+        assert properties.HasProperty("hydroelastic", "compliance_type")
+        # What has no modulus but takes part is rigid.
+        assert not properties.HasProperty(
+            "hydroelastic", "hydroelastic_modulus"
+        )
+        friction = properties.GetProperty("material", "coulomb_friction")
+        assert friction.static_friction() == 0.5
+        assert friction.dynamic_friction() == 0.5
+    for geometry in visuals:
+        for role in (Role.kPerception, Role.kIllustration):
+            assert inspector.GetProperties(geometry, role) is not None
+
+
+@pytest.mark.parametrize("name", ["bin", "tote"])
+def test_inertia_is_that_of_its_boxes(name):
+    plant, scene_graph, _ = parse(name)
+    inspector = scene_graph.model_inspector()
+    body = plant.GetBodyByName(name)
+    M = body.default_spatial_inertia()
+    volumes, centers, inertia = [], [], np.zeros((3, 3))
+    for geometry in plant.GetCollisionGeometriesForBody(body):
+        size = np.array(inspector.GetShape(geometry).size())
+        center = inspector.GetPoseInFrame(geometry).translation()
+        volume = np.prod(size)
+        volumes.append(volume)
+        centers.append(center)
+        inertia += volume * (
+            np.diag(np.sum(size**2) - size**2) / 12
+            + center @ center * np.eye(3)
+            - np.outer(center, center)
+        )
+    density = M.get_mass() / sum(volumes)
+    com = np.average(centers, axis=0, weights=volumes)
+    np.testing.assert_allclose(M.get_com(), com, atol=1e-6)
+    np.testing.assert_allclose(
+        M.CalcRotationalInertia().CopyToFullMatrix3(),
+        density * inertia,
+        atol=1e-4 * M.get_mass(),
+    )
+
+
+def test_every_model_opens_without_the_package_map():
+    paths = sorted(models_dir().glob("targets/*.sdf"))
+    paths += [models_dir() / f"{n}/{n}.sdf" for n in ("bin", "tote")]
+    assert len(paths) == 15
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
+    for path in paths:
+        assert "package://" not in path.read_text()
+        Parser(plant).AddModels(str(path))
+    plant.Finalize()
+    assert plant.num_bodies() == 1 + len(paths)
+
+
+def test_parser_can_be_configured_twice():
+    plant, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.001)
+    parser = Parser(plant)
+    ConfigureParser(parser)
+    configure_parser(parser)
+    path = parser.package_map().GetPath("xray_drake_models")
+    assert (models_dir() / "package.xml").samefile(f"{path}/package.xml")
+
+
+def test_a_target_rests_on_the_floor_of_the_bin():
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.005)
+    parser = Parser(plant)
+    configure_parser(parser)
+    url = "package://xray_drake_models"
+    parser.AddModelsFromUrl(f"{url}/bin/bin.sdf")
+    parser.AddModelsFromUrl(f"{url}/targets/lid.sdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("bin"))
+    plant.Finalize()
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    lid = plant.GetBodyByName("lid")
+    plant.SetFreeBodyPose(context, lid, RigidTransform([0.1, -0.05, 0.02]))
+    simulator.AdvanceTo(0.6)
+    X_WO = plant.EvalBodyPoseInWorld(context, lid)
+    np.testing.assert_allclose(
+        X_WO.translation(), [0.1, -0.05, 0.005], atol=1e-3
+    )

@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+import trimesh
+
+from xray_drake.scene.targets import BOX_TARGETS, TARGET_NAMES, target_model
+
+MOST_PIECES = {"lid": 9}
+
+
+@pytest.mark.parametrize("ratio", range(1, 11))
+def test_boxes_have_nine_square_centimetres(ratio):
+    length, width, thickness = target_model(f"box_{ratio}to1").extents
+    assert length / width == pytest.approx(ratio)
+    assert length * width == pytest.approx(9e-4)
+    assert thickness == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("lid", (0.060, 0.057, 0.010)),
+        ("domino", (0.048, 0.024, 0.0075)),
+        ("flute", (0.110, 0.022, 0.016)),
+    ],
+)
+def test_bounding_box_of_the_others(name, size):
+    np.testing.assert_allclose(target_model(name).extents, size, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", TARGET_NAMES)
+def test_every_target(name):
+    model = target_model(name)
+    assert model.name == name
+    assert model.visual.is_volume
+    assert model.visual.body_count == 1
+    np.testing.assert_allclose(
+        model.visual.bounds.sum(axis=0), 0, atol=1e-9
+    )  # the body origin is the centre of the bounding box
+    assert model.mass == pytest.approx(600 * model.visual.volume)
+    assert model.friction == 0.5
+    assert model.color[:3] == (0.8, 0.05, 0.05)
+    assert np.linalg.eigvalsh(model.inertia).min() > 0
+    assert target_model(name) is model
+
+
+@pytest.mark.parametrize("name", TARGET_NAMES)
+def test_collision_fills_the_bounding_box(name):
+    model = target_model(name)
+    assert len(model.pieces) <= MOST_PIECES.get(name, 1)
+    corners = np.concatenate(model.pieces)
+    np.testing.assert_allclose(
+        [corners.min(axis=0), corners.max(axis=0)],
+        model.visual.bounds,
+        atol=1e-9,
+    )
+    for piece in model.pieces:
+        assert len(piece) <= 16
+        hull = trimesh.Trimesh(piece).convex_hull
+        assert len(hull.vertices) == len(piece)
+
+
+def test_lid_is_hollow_above_a_plate_and_inside_a_rim():
+    lid = target_model("lid")
+    pieces = [trimesh.Trimesh(p).convex_hull for p in lid.pieces]
+    union = trimesh.boolean.union(pieces, engine="manifold")
+    assert union.volume == pytest.approx(lid.visual.volume, rel=0.02)
+    assert lid.p_OCom[2] < -0.001
+    plate = [0.01, 0.01, -0.0035]
+    hollow = [0.01, 0.01, 0.0]
+    rim = [0.0285, 0.0, 0.0]
+    for mesh in (lid.visual, union):
+        assert mesh.contains([plate, hollow, rim]).tolist() == [
+            True,
+            False,
+            True,
+        ]
+
+
+def test_flute_is_a_tube_with_six_finger_holes():
+    flute = target_model("flute").visual
+    # Seven handles: each of the six holes and the bore's second end are one.
+    assert 2 - flute.euler_number == 2 * 7
+    top = 0.008 - 0.001
+    x = np.linspace(-0.054, 0.054, 200)
+    wall = flute.contains(np.column_stack([x, 0 * x, np.full_like(x, top)]))
+    assert np.count_nonzero(np.diff(wall.astype(int)) == -1) == 6
+    assert not flute.contains([[0.0, 0.0, 0.0]])[0]
+
+
+def test_unknown_target_names_those_there_are():
+    with pytest.raises(ValueError, match="spoon") as caught:
+        target_model("spoon")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(name in message for name in TARGET_NAMES)
+
+
+def test_there_are_thirteen():
+    assert len(BOX_TARGETS) == 10
+    assert len(set(TARGET_NAMES)) == 13

@@ -1,0 +1,1 @@
+"""Meshcat layers and colour maps."""

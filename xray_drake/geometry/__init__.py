@@ -1,0 +1,1 @@
+"""Cameras, convex pieces and silhouettes, without Drake."""

@@ -1,0 +1,95 @@
+"""A pinhole camera: what perception needs to know of the sensor."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class PinholeCamera:
+    """Intrinsics and pose of a camera, as they travel over a port.
+
+    Attributes:
+        width: image width in pixels.
+        height: image height in pixels.
+        intrinsics: 3×3 camera matrix, pixels. Pixel centres are at integers.
+        X_WC: 4×4 pose of the camera frame (x right, y down, z forward) in the
+            world, m.
+    """
+
+    width: int
+    height: int
+    intrinsics: np.ndarray
+    X_WC: np.ndarray
+
+    def __post_init__(self) -> None:
+        K = np.array(self.intrinsics, dtype=float)
+        X = np.array(self.X_WC, dtype=float)
+        if K.shape != (3, 3) or X.shape != (4, 4):
+            raise ValueError(
+                f"a camera needs a 3×3 matrix and a 4×4 pose, not {K.shape} "
+                f"and {X.shape}"
+            )
+        K.setflags(write=False)
+        X.setflags(write=False)
+        object.__setattr__(self, "intrinsics", K)
+        object.__setattr__(self, "X_WC", X)
+
+    def __deepcopy__(self, memo: dict) -> "PinholeCamera":
+        return self
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The shape of its images, ``(height, width)``."""
+        return self.height, self.width
+
+    def project(self, p_W: np.ndarray) -> np.ndarray:
+        """Projects points.
+
+        Args:
+            p_W: (..., 3) points in the world, m.
+
+        Returns:
+            (..., 3) array of u, v in pixels and z-depth in m.
+        """
+        R, t = self.X_WC[:3, :3], self.X_WC[:3, 3]
+        p_C = (np.asarray(p_W, dtype=float) - t) @ R
+        K = self.intrinsics
+        z = p_C[..., 2]
+        u = K[0, 0] * p_C[..., 0] / z + K[0, 2]
+        v = K[1, 1] * p_C[..., 1] / z + K[1, 2]
+        return np.stack([u, v, z], axis=-1)
+
+    def rays(self) -> np.ndarray:
+        """Returns (H, W, 3): per pixel, p_W − camera centre at unit z-depth."""
+        K = self.intrinsics
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        d_C = np.stack(
+            [
+                (u - K[0, 2]) / K[0, 0],
+                (v - K[1, 2]) / K[1, 1],
+                np.ones(self.shape),
+            ],
+            axis=-1,
+        )
+        return d_C @ self.X_WC[:3, :3].T
+
+    def plane_depth(self, height: float) -> np.ndarray:
+        """Returns the (H, W) z-depth of the world plane ``z = height``, m.
+
+        Rays that never meet the plane get ``inf``.
+        """
+        slope = self.rays()[..., 2]
+        with np.errstate(divide="ignore"):
+            depth = (height - self.X_WC[2, 3]) / slope
+        return np.where((slope != 0) & (depth > 0), depth, np.inf)
+
+    def unproject(self, depth: np.ndarray) -> np.ndarray:
+        """Returns the (H, W, 3) world points of an (H, W) z-depth image, m."""
+        return self.X_WC[:3, 3] + self.rays() * depth[..., None]
+
+    def plane_homography(self, height: float) -> np.ndarray:
+        """Returns the 3×3 map from (x, y, 1) on ``z = height`` to pixels."""
+        X_CW = np.linalg.inv(self.X_WC)
+        plane = np.array([[1, 0, 0], [0, 1, 0], [0, 0, height], [0, 0, 1]])
+        return self.intrinsics @ (X_CW @ plane)[:3]

@@ -1,0 +1,1 @@
+"""Grasps: sampling, wrench-space analysis, collision checks."""

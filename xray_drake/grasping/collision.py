@@ -1,0 +1,298 @@
+"""Collision checks of a gripper that comes straight down on a heap."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import (
+    Box,
+    CollisionFilterDeclaration,
+    Convex,
+    Cylinder,
+    GeometryId,
+    GeometrySet,
+    QueryObject,
+    SceneGraphInspector,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+)
+from pydrake.multibody.tree import RigidBody, SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
+
+from xray_drake.grasping.gripper_geometry import GripperGeometry
+from xray_drake.resources import models_dir
+from xray_drake.scene.object_model import ObjectModel
+
+_POINT_SPACING = 0.025
+"""Of the points that stand for the bin, m."""
+
+_ALONG_X = RotationMatrix.MakeYRotation(np.pi / 2)
+"""Turns a cylinder's axis from z to x."""
+
+_OBJECT_AWAY = np.array([1.0, 0, 0, 0, 0, 0, 100.0])
+_TOOL_AWAY = np.array([1.0, 0, 0, 0, 0, 0, -100.0])
+"""Generalised positions of bodies that take no part."""
+
+
+def _generalised(X: np.ndarray) -> np.ndarray:
+    q = np.empty(7)
+    x, y, z, w = Rotation.from_matrix(X[:3, :3]).as_quat()
+    q[:4] = w, x, y, z
+    q[4:] = X[:3, 3]
+    return q
+
+
+def _box_points(
+    inspector: SceneGraphInspector, geometries: list[GeometryId]
+) -> np.ndarray:
+    """Returns (m, 3) points on the sides of anchored boxes, in the world."""
+    points = [np.zeros((0, 3))]
+    for geometry in geometries:
+        shape = inspector.GetShape(geometry)
+        if not isinstance(shape, Box):
+            continue
+        half = 0.5 * np.array(shape.size())
+        axes = [
+            np.linspace(-h, h, 2 + int(2 * h / _POINT_SPACING)) for h in half
+        ]
+        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+        surface = (np.abs(np.abs(grid) - half) < 1e-9).any(axis=1)
+        X_WS = inspector.GetPoseInFrame(geometry)
+        points.append((X_WS @ grid[surface].T).T)
+    return np.concatenate(points)
+
+
+class GraspScene:
+    """Bin, heap and a gripper in a scene that is only asked, never simulated.
+
+    A straight approach is checked in one query: the gripper's boxes are
+    extended backwards along the approach by its length. For boxes and a
+    translation along one of their axes that is the exact swept volume. So it
+    is for stem and cup, which are cylinders, along their axis; for the jaw's
+    approach, across it, their bounding boxes stand in.
+
+    The jaw comes along its z axis, as four bodies: the base and the two
+    fingers, which can be set at any opening. The suction cup comes along the
+    cup's z axis with the jaw closed, as one body, its bellows compressed or
+    extended by what ``cup_standoff`` says.
+
+    Objects and bin ignore each other. Objects that are not in the poses set
+    take no part.
+
+    Attributes:
+        bin_points: (m, 3) points on the surface of the bin, in the world, m.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[ObjectModel],
+        *,
+        gripper: GripperGeometry,
+        approach_distance: float = 0.10,
+        cup_standoff: float = 0.002,
+        bin_model: Path | None = None,
+    ) -> None:
+        """Builds the scene.
+
+        Args:
+            objects: whose convex pieces can be hit; names are unique.
+            gripper: its frames and boxes.
+            approach_distance: length of the straight approach, m.
+            cup_standoff: the cup's box ends this far before its lip, m.
+            bin_model: SDFormat file of the bin; by default the package's.
+
+        Raises:
+            ValueError: two objects with the same name.
+        """
+        if len({model.name for model in objects}) != len(objects):
+            raise ValueError("objects of a grasp scene need unique names")
+        self._gripper = gripper
+        self._X_JB = np.linalg.inv(gripper.X_BJ)
+        self._X_CB = np.linalg.inv(gripper.X_BC)
+
+        builder = DiagramBuilder()
+        plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+        (bin_instance,) = Parser(plant).AddModels(
+            bin_model or models_dir() / "bin" / "bin.sdf"
+        )
+        bin_bodies = [
+            plant.get_body(i) for i in plant.GetBodyIndices(bin_instance)
+        ]
+        plant.WeldFrames(plant.world_frame(), bin_bodies[0].body_frame())
+
+        instance = plant.AddModelInstance("grasp_scene")
+        friction = CoulombFriction(1.0, 1.0)
+        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.01)
+        self._owner: dict[GeometryId, str] = {}
+
+        def add_body(
+            name: str, lower: np.ndarray, upper: np.ndarray, round_: np.ndarray
+        ) -> RigidBody:
+            body = plant.AddRigidBody(name, instance, inertia)
+            for i, (a, b) in enumerate(zip(lower, upper, strict=True)):
+                length, width, height = b - a
+                plant.RegisterCollisionGeometry(
+                    body,
+                    RigidTransform(_ALONG_X, 0.5 * (a + b))
+                    if round_[i]
+                    else RigidTransform(0.5 * (a + b)),
+                    Cylinder(0.5 * width, length)
+                    if round_[i]
+                    else Box(length, width, height),
+                    f"{name}_{i}",
+                    friction,
+                )
+            return body
+
+        closing = gripper.closing
+        box = np.zeros(len(closing), bool)
+        lower, upper = gripper.swept_jaw(approach_distance)
+
+        def add_part(name: str, side: float) -> RigidBody:
+            part = closing == side
+            return add_body(name, lower[part], upper[part], box[part])
+
+        self._base = add_part("jaw_base", 0.0)
+        self._fingers = {
+            side: add_part(f"finger_{i}", side)
+            for i, side in enumerate((-1.0, 1.0))
+        }
+        self._suction = add_body(
+            "suction",
+            *gripper.swept_suction(approach_distance, cup_standoff),
+            gripper.round,
+        )
+
+        self._objects: dict[str, RigidBody] = {}
+        for model in objects:
+            body = plant.AddRigidBody(f"object {model.name}", instance, inertia)
+            piece: Any  # pydrake's stubs know no array types
+            for i, piece in enumerate(model.pieces):
+                geometry = plant.RegisterCollisionGeometry(
+                    body,
+                    RigidTransform(),
+                    Convex(points=piece.T, label=model.name),
+                    f"piece_{i}",
+                    friction,
+                )
+                self._owner[geometry] = model.name
+            self._objects[model.name] = body
+        plant.Finalize()
+
+        def geometries(bodies: list[RigidBody]) -> GeometrySet:
+            return GeometrySet(
+                [
+                    geometry
+                    for body in bodies
+                    for geometry in plant.GetCollisionGeometriesForBody(body)
+                ]
+            )
+
+        for body in bin_bodies:
+            for geometry in plant.GetCollisionGeometriesForBody(body):
+                self._owner[geometry] = "bin"
+        self.bin_points = _box_points(
+            scene_graph.model_inspector(),
+            [id for id, name in self._owner.items() if name == "bin"],
+        )
+        tools = [self._base, *self._fingers.values(), self._suction]
+        manager = scene_graph.collision_filter_manager()
+        for group in ([*self._objects.values(), *bin_bodies], tools):
+            manager.Apply(
+                CollisionFilterDeclaration().ExcludeWithin(geometries(group))
+            )
+
+        self._plant = plant
+        self._diagram = builder.Build()
+        self._root_context = self._diagram.CreateDefaultContext()
+        self._context = plant.GetMyMutableContextFromRoot(self._root_context)
+        self._q = np.zeros(plant.num_positions())
+        self.set_poses({})
+
+    def _place(self, body: RigidBody, q: np.ndarray) -> None:
+        start = body.floating_positions_start()
+        self._q[start : start + 7] = q
+
+    def set_poses(self, poses: Mapping[str, np.ndarray]) -> None:
+        """Places the objects.
+
+        Args:
+            poses: 4×4 X_WO of each object that takes part.
+
+        Raises:
+            KeyError: a name that is not in the scene.
+        """
+        unknown = set(poses) - set(self._objects)
+        if unknown:
+            raise KeyError(f"no such objects: {sorted(unknown)}")
+        for name, body in self._objects.items():
+            X_WO = poses.get(name)
+            self._place(
+                body, _OBJECT_AWAY if X_WO is None else _generalised(X_WO)
+            )
+
+    @contextmanager
+    def without(self, name: str) -> Iterator[None]:
+        """Takes an object out while the context lasts."""
+        start = self._objects[name].floating_positions_start()
+        saved = self._q[start : start + 7].copy()
+        self._q[start : start + 7] = _OBJECT_AWAY
+        try:
+            yield
+        finally:
+            self._q[start : start + 7] = saved
+
+    def _query(self) -> QueryObject:
+        self._plant.SetPositions(self._context, self._q)
+        return self._plant.get_geometry_query_input_port().Eval(self._context)
+
+    def _set_jaw(self, X_WG: np.ndarray, opening: float) -> None:
+        X_WB = X_WG @ self._X_JB
+        self._place(self._base, _generalised(X_WB))
+        for side, body in self._fingers.items():
+            X_BF = np.eye(4)
+            X_BF[1, 3] = side * 0.5 * (self._gripper.open_width - opening)
+            self._place(body, _generalised(X_WB @ X_BF))
+        self._place(self._suction, _TOOL_AWAY)
+
+    def _set_suction(self, X_WG: np.ndarray) -> None:
+        for body in [self._base, *self._fingers.values()]:
+            self._place(body, _TOOL_AWAY)
+        self._place(self._suction, _generalised(X_WG @ self._X_CB))
+
+    def jaw_collides(self, X_WG: np.ndarray, opening: float) -> bool:
+        """Returns whether the approach of the jaw hits anything.
+
+        Args:
+            X_WG: 4×4 pose of the jaw frame at the end of the approach.
+            opening: distance of the pads, m.
+        """
+        self._set_jaw(X_WG, opening)
+        return bool(self._query().HasCollisions())
+
+    def suction_collides(self, X_WG: np.ndarray) -> bool:
+        """Returns whether the approach of the suction cup hits anything.
+
+        Args:
+            X_WG: 4×4 pose of the cup frame at the end of the approach.
+        """
+        self._set_suction(X_WG)
+        return bool(self._query().HasCollisions())
+
+    def hit(self) -> tuple[str, ...]:
+        """Returns what the last check hit: names of objects, or ``bin``."""
+        pairs = self._query().ComputePointPairPenetration()
+        names = {
+            self._owner[id]
+            for pair in pairs
+            for id in (pair.id_A, pair.id_B)
+            if id in self._owner
+        }
+        return tuple(sorted(names))

@@ -1,0 +1,1 @@
+"""Gripper controllers that execute grasps."""

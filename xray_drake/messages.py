@@ -1,0 +1,211 @@
+"""What flows over the ports of the diagram, beside Drake's own types.
+
+All messages are immutable: Drake copies abstract values freely (an event copies
+all abstract state), so each answers a deep copy with itself. "Nothing" is an
+empty message, never ``None``: ``None`` cannot cross a port.
+"""
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+
+class Message:
+    """Base of all messages; immutable, so a copy is the message itself."""
+
+    def __copy__(self) -> "Message":
+        return self
+
+    def __deepcopy__(self, memo: dict) -> "Message":
+        return self
+
+
+def _frozen_array(message: Message, name: str, dtype: type) -> None:
+    array = np.array(getattr(message, name), dtype=dtype)
+    array.setflags(write=False)
+    object.__setattr__(message, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class TargetMask(Message):
+    """The target's modal mask as detected; blank where it is not seen.
+
+    Attributes:
+        data: (H, W) bool.
+    """
+
+    data: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+
+    def __post_init__(self) -> None:
+        _frozen_array(self, "data", bool)
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceMasks(Message):
+    """Modal masks of all objects seen, the target included where it is seen.
+
+    Attributes:
+        labels: (H, W) int32; −1 for the background, else an index into
+            ``names``.
+        names: what each label is called. Ground truth gives the object's name
+            in the plant, other segmenters ``instance_0``, ``instance_1``, ….
+    """
+
+    labels: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 0), np.int32)
+    )
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _frozen_array(self, "labels", np.int32)
+
+    def areas(self) -> np.ndarray:
+        """Returns the (len(names),) visible pixels of each object."""
+        flat = self.labels[self.labels >= 0]
+        return np.bincount(flat, minlength=len(self.names))
+
+    def mask(self, name: str) -> np.ndarray:
+        """Returns the (H, W) bool mask of one object."""
+        return self.labels == self.names.index(name)
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyDistribution(Message):
+    """Where the target can be (paper section III.B: ρ).
+
+    Attributes:
+        data: (H, W) float32 in [0, 1]; its maximum is 1, or all is 0.
+        support_threshold: values above it are support: 0 for labels and exact
+            inference, 0.02 for networks.
+        method: how it came about, for the record: ``"exact"`` and the like.
+    """
+
+    data: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 0), np.float32)
+    )
+    support_threshold: float = 0.0
+    method: str = "none"
+
+    def __post_init__(self) -> None:
+        _frozen_array(self, "data", np.float32)
+
+    def support(self) -> np.ndarray:
+        """Returns the (H, W) bool support (paper section III.D)."""
+        return self.data > self.support_threshold
+
+    def support_size(self, threshold: float | None = None) -> int:
+        """Returns the number of pixels above ``threshold``."""
+        if threshold is None:
+            threshold = self.support_threshold
+        return int(np.count_nonzero(self.data > threshold))
+
+
+class GraspKind(Enum):
+    """How an object is held."""
+
+    NONE = "none"
+    JAW = "jaw"
+    SUCTION = "suction"
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp(Message):
+    """A grasp on one object, planned at one state of the heap.
+
+    Attributes:
+        kind: jaw or suction; NONE for "no grasp".
+        object: name of the object grasped.
+        X_WG: 4×4 pose of the grasp frame in the world. Origin at the tool
+            centre point (between the finger pads; at the cup's lip), z along
+            the approach, y along the closing direction of the jaws.
+        X_OG: 4×4 the same pose in the object's body frame: what makes two
+            grasps "the same grasp" after the object has moved.
+        width: distance of the two jaw contacts, m; 0 for suction.
+        quality: in [0, 1]; 0 cannot hold, more is better.
+    """
+
+    kind: GraspKind = GraspKind.NONE
+    object: str = ""
+    X_WG: np.ndarray = field(default_factory=lambda: np.eye(4))
+    X_OG: np.ndarray = field(default_factory=lambda: np.eye(4))
+    width: float = 0.0
+    quality: float = 0.0
+
+    def __post_init__(self) -> None:
+        _frozen_array(self, "X_WG", float)
+        _frozen_array(self, "X_OG", float)
+
+    def __bool__(self) -> bool:
+        return self.kind is not GraspKind.NONE
+
+
+@dataclass(frozen=True, eq=False)
+class SearchAction(Message):
+    """What the policy decided, with what it knew.
+
+    Attributes:
+        number: 1, 2, …; 0 before the first decision. A new number is a new
+            command to the gripper.
+        grasp: what to do; its kind is NONE where no candidate has a grasp.
+        is_target: the grasp is on the target.
+        ranking: candidates in the order of preference.
+        scores: the score of each candidate in ``ranking``.
+        score: of the object grasped.
+        support: |supp ρ| when it decided, pixels.
+        support_01: number of pixels with ρ > 0.1 when it decided.
+        target_pixels: visible pixels of the target when it decided.
+        seconds: wall time of each stage.
+    """
+
+    number: int = 0
+    grasp: Grasp = field(default_factory=Grasp)
+    is_target: bool = False
+    ranking: tuple[str, ...] = ()
+    scores: tuple[float, ...] = ()
+    score: float = 0.0
+    support: int = 0
+    support_01: int = 0
+    target_pixels: int = 0
+    seconds: tuple[tuple[str, float], ...] = ()
+
+
+class GripperMode(Enum):
+    """What the gripper is doing."""
+
+    IDLE = "idle"
+    BUSY = "busy"
+
+
+class Outcome(Enum):
+    """How an action ended; the values are those of the rollout record."""
+
+    NONE = "none"
+    LIFTED = "lifted"
+    FAILED = "failed"
+    SLIPPED = "slipped"
+    NO_GRASP = "no_grasp"
+
+
+@dataclass(frozen=True, eq=False)
+class GripperStatus(Message):
+    """What the gripper tells the policy and the monitor.
+
+    Attributes:
+        mode: idle (at rest, so is the heap) or busy.
+        number: number of the last action taken up.
+        outcome: of that action; NONE while busy.
+        reason: why it failed, one line; empty where it did not.
+        held: name of the object in the gripper, empty where none is.
+        stirring: objects in the bin may move; where it is False, only the
+            objects in ``loose`` do.
+        loose: names of objects that move outside the bin.
+    """
+
+    mode: GripperMode = GripperMode.IDLE
+    number: int = 0
+    outcome: Outcome = Outcome.NONE
+    reason: str = ""
+    held: str = ""
+    stirring: bool = False
+    loose: tuple[str, ...] = ()

@@ -1,0 +1,1 @@
+"""Occupancy distributions of a hidden target."""

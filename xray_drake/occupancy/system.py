@@ -1,0 +1,100 @@
+"""The LeafSystem that infers the occupancy distribution from images."""
+
+from typing import Protocol
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.sensors import ImageDepth32F
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import OccupancyDistribution, TargetMask
+
+
+class OccupancyModel(Protocol):
+    """Anything that infers where the target can be."""
+
+    def infer(
+        self,
+        depth: np.ndarray,
+        target_mask: np.ndarray,
+        camera: PinholeCamera,
+    ) -> OccupancyDistribution:
+        """Infers the distribution from one augmented depth image.
+
+        Args:
+            depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
+            target_mask: (H, W) bool modal mask, blank where it is not seen.
+            camera: the camera of both.
+        """
+        ...
+
+
+class OccupancyInference(LeafSystem):
+    """Infers where a hidden target can be, given what the camera sees.
+
+    .. pydrake_system::
+
+        name: OccupancyInference
+        input_ports:
+        - depth_image
+        - target_mask
+        - camera
+        output_ports:
+        - occupancy
+
+    ``depth_image`` is an ImageDepth32F, ``target_mask`` a TargetMask,
+    ``camera`` a PinholeCamera and ``occupancy`` an OccupancyDistribution. The
+    inference runs when ``occupancy`` is evaluated, once per new image.
+    """
+
+    def __init__(
+        self,
+        *,
+        inference: OccupancyModel,
+        width: int = 512,
+        height: int = 384,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            inference: the method.
+            width: of the images, pixels.
+            height: of the images, pixels.
+        """
+        super().__init__()
+        self.set_name("occupancy_inference")
+        self._inference = inference
+        self._shape = height, width
+        camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
+        self._depth_image = self.DeclareAbstractInputPort(
+            name="depth_image",
+            model_value=AbstractValue.Make(ImageDepth32F(width, height)),
+        )
+        self._target_mask = self.DeclareAbstractInputPort(
+            name="target_mask", model_value=AbstractValue.Make(TargetMask())
+        )
+        self._camera = self.DeclareAbstractInputPort(
+            name="camera", model_value=AbstractValue.Make(camera)
+        )
+        self.DeclareAbstractOutputPort(
+            name="occupancy",
+            alloc=lambda: AbstractValue.Make(OccupancyDistribution()),
+            calc=self._calc_occupancy,
+            prerequisites_of_calc={
+                self._depth_image.ticket(),
+                self._target_mask.ticket(),
+                self._camera.ticket(),
+            },
+        )
+
+    def _calc_occupancy(self, context: Context, output: AbstractValue) -> None:
+        depth = self._depth_image.Eval(context).data[:, :, 0]
+        mask = self._target_mask.Eval(context).data
+        camera = self._camera.Eval(context)
+        if camera.shape != self._shape:
+            raise ValueError(
+                f"{self.get_name()}: the camera's images are {camera.shape}, "
+                f"the system was built for {self._shape}"
+            )
+        output.set_value(self._inference.infer(depth, mask, camera))

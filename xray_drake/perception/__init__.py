@@ -1,0 +1,1 @@
+"""Target detection and instance segmentation."""

@@ -1,0 +1,1 @@
+"""Search policies: which object to grasp next."""

@@ -1,0 +1,214 @@
+"""The LeafSystem that looks, ranks, and commands the next grasp."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
+
+from xray_drake.messages import (
+    Grasp,
+    GripperMode,
+    GripperStatus,
+    InstanceMasks,
+    Message,
+    OccupancyDistribution,
+    Outcome,
+    SearchAction,
+    TargetMask,
+)
+from xray_drake.perception.ground_truth import target_instance
+from xray_drake.policy.ranking import Ranking, SearchView, candidates, order
+
+
+class Planner(Protocol):
+    """Finds a grasp on one object."""
+
+    def plan(
+        self,
+        object_name: str,
+        poses: Mapping[str, np.ndarray],
+        *,
+        excluded: Sequence[Grasp] = (),
+    ) -> Grasp:
+        """Returns the best grasp, or one of kind NONE; see the planners."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory(Message):
+    action: SearchAction = field(default_factory=SearchAction)
+    failed: tuple[Grasp, ...] = ()
+
+
+class SearchPolicy(LeafSystem):
+    """Chooses the next object and a grasp on it (paper section V).
+
+    .. pydrake_system::
+
+        name: SearchPolicy
+        input_ports:
+        - occupancy
+        - instances
+        - target_mask
+        - status
+        - body_poses
+        output_ports:
+        - action
+
+    It looks only while ``status`` says that the gripper is idle and has done
+    the last action. Then it ranks the objects seen, asks the planner for a
+    grasp on the first, else on the next, and raises ``action.number``. The
+    inputs are messages of :mod:`xray_drake.messages` but for ``body_poses``,
+    the ground truth that planning from models needs.
+
+    A grasp that failed is not tried again: the planner is told of all grasps
+    that failed on an object.
+    """
+
+    def __init__(
+        self,
+        *,
+        ranking: Ranking,
+        planner: Planner,
+        bodies: Mapping[str, int],
+        target_first: bool = True,
+        min_visible_pixels: int = 50,
+        seed: int = 0,
+        period: float = 0.05,
+    ) -> None:
+        """Builds the policy.
+
+        Args:
+            ranking: scores the objects; the only thing policies differ in.
+            planner: finds grasps.
+            bodies: object name to its index in ``body_poses``.
+            target_first: grasp the target whenever there is a grasp on it.
+            min_visible_pixels: objects with fewer are not candidates.
+            seed: of the ranking's random generator.
+            period: how often it checks for an idle gripper, s.
+        """
+        super().__init__()
+        self.set_name("search_policy")
+        self._ranking = ranking
+        self._planner = planner
+        self._bodies = dict(bodies)
+        self._target_first = target_first
+        self._min_pixels = min_visible_pixels
+        self._seed = seed
+        self._occupancy = self.DeclareAbstractInputPort(
+            "occupancy", Value(OccupancyDistribution())
+        )
+        self._instances = self.DeclareAbstractInputPort(
+            "instances", Value(InstanceMasks())
+        )
+        self._target_mask = self.DeclareAbstractInputPort(
+            "target_mask", Value(TargetMask())
+        )
+        self._status = self.DeclareAbstractInputPort(
+            "status", Value(GripperStatus())
+        )
+        self._poses = self.DeclareAbstractInputPort(
+            "body_poses", Value([RigidTransform()])
+        )
+        self._memory = self.DeclareAbstractState(Value(_Memory()))
+        self.DeclareAbstractOutputPort(
+            "action",
+            alloc=lambda: Value(SearchAction()),
+            calc=self._calc_action,
+            prerequisites_of_calc={self.abstract_state_ticket(self._memory)},
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(
+            period_sec=period, offset_sec=0.0, update=self._update
+        )
+
+    def _calc_action(self, context: Context, output: AbstractValue) -> None:
+        memory: _Memory = context.get_abstract_state(self._memory).get_value()
+        output.set_value(memory.action)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        memory: _Memory = context.get_abstract_state(self._memory).get_value()
+        status: GripperStatus = self._status.Eval(context)
+        waiting = (
+            status.mode is not GripperMode.IDLE
+            or status.number != memory.action.number
+        )
+        if waiting:
+            return EventStatus.DidNothing()
+        failed = memory.failed
+        if status.outcome in (Outcome.FAILED, Outcome.SLIPPED):
+            failed = (*failed, memory.action.grasp)
+        action = self._decide(context, memory.action.number + 1, failed)
+        state.get_mutable_abstract_state(self._memory).set_value(
+            _Memory(action, failed)
+        )
+        return EventStatus.Succeeded()
+
+    def _decide(
+        self, context: Context, number: int, failed: tuple[Grasp, ...]
+    ) -> SearchAction:
+        clock = time.perf_counter
+        start = clock()
+        target_mask: TargetMask = self._target_mask.Eval(context)
+        instances: InstanceMasks = self._instances.Eval(context)
+        seen = clock()
+        occupancy: OccupancyDistribution = self._occupancy.Eval(context)
+        inferred = clock()
+        target = target_instance(instances, target_mask)
+        view = SearchView(
+            occupancy,
+            instances,
+            candidates(instances, min_pixels=self._min_pixels),
+        )
+        ranked = order(
+            view,
+            self._ranking,
+            np.random.default_rng([self._seed, number]),
+            target=target if self._target_first else "",
+        )
+        ordered = clock()
+        grasp, score = self._first_grasp(context, ranked, failed)
+        planned = clock()
+        return SearchAction(
+            number=number,
+            grasp=grasp,
+            is_target=bool(grasp) and grasp.object == target,
+            ranking=tuple(name for name, _ in ranked),
+            scores=tuple(score for _, score in ranked),
+            score=score,
+            support=occupancy.support_size(),
+            support_01=occupancy.support_size(0.1),
+            target_pixels=int(np.count_nonzero(target_mask.data)),
+            seconds=(
+                ("perception", seen - start),
+                ("occupancy", inferred - seen),
+                ("ranking", ordered - inferred),
+                ("planning", planned - ordered),
+            ),
+        )
+
+    def _first_grasp(
+        self,
+        context: Context,
+        ranked: Sequence[tuple[str, float]],
+        failed: Sequence[Grasp],
+    ) -> tuple[Grasp, float]:
+        body_poses = self._poses.Eval(context)
+        poses = {
+            name: body_poses[index].GetAsMatrix4()
+            for name, index in self._bodies.items()
+        }
+        for name, score in ranked:
+            excluded = [grasp for grasp in failed if grasp.object == name]
+            grasp = self._planner.plan(name, poses, excluded=excluded)
+            if grasp:
+                return grasp, score
+        return Grasp(), 0.0

@@ -1,0 +1,1 @@
+"""Objects, bin, cameras, and heaps dropped until they rest."""

@@ -1,0 +1,98 @@
+"""Adds Drake's RgbdSensor to a diagram, and tells what it is."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import (
+    MakeRenderEngineVtk,
+    RenderEngineVtkParams,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantValueSource
+from pydrake.systems.sensors import CameraConfig, RgbdSensor
+
+from xray_drake.geometry.camera import PinholeCamera
+
+
+def pinhole_camera(config: CameraConfig) -> PinholeCamera:
+    """Returns the camera that a config describes.
+
+    Raises:
+        ValueError: the camera is not fixed to the world.
+    """
+    frame = config.X_PB.base_frame
+    if frame not in (None, "", "world"):
+        raise ValueError(
+            f"camera {config.name!r} is fixed to {frame!r}: only cameras "
+            "fixed to the world are supported"
+        )
+    color, _ = config.MakeCameras()
+    X_WB = RigidTransform(config.X_PB.GetDeterministicValue())
+    X_BC = color.core().sensor_pose_in_camera_body()
+    return PinholeCamera(
+        width=config.width,
+        height=config.height,
+        intrinsics=color.core().intrinsics().intrinsic_matrix(),
+        X_WC=(X_WB @ X_BC).GetAsMatrix4(),
+    )
+
+
+def add_renderer(scene_graph: SceneGraph, config: CameraConfig) -> None:
+    """Adds the render engine that a camera asks for, once.
+
+    Software Mesa serves where there is no GPU; no display is needed.
+
+    Raises:
+        ValueError: the engine is not RenderEngineVtk.
+    """
+    if config.renderer_class not in ("", "RenderEngineVtk"):
+        raise ValueError(
+            f"camera {config.name!r} asks for {config.renderer_class!r}: "
+            "only RenderEngineVtk runs without a display"
+        )
+    if not scene_graph.HasRenderer(config.renderer_name):
+        color = config.background
+        scene_graph.AddRenderer(
+            config.renderer_name,
+            MakeRenderEngineVtk(
+                RenderEngineVtkParams(
+                    default_clear_color=np.array(
+                        [color.r(), color.g(), color.b()]
+                    )
+                )
+            ),
+        )
+
+
+def add_camera(
+    builder: DiagramBuilder, scene_graph: SceneGraph, config: CameraConfig
+) -> tuple[RgbdSensor, ConstantValueSource]:
+    """Adds a camera fixed to the world.
+
+    ``ApplyCameraConfig`` is not used: it renders every period, whether
+    anybody looks or not.
+
+    Returns:
+        The sensor, whose images are rendered when they are asked for, and a
+        source of its :class:`PinholeCamera`.
+    """
+    add_renderer(scene_graph, config)
+    color, depth = config.MakeCameras()
+    sensor = builder.AddSystem(
+        RgbdSensor(
+            parent_id=scene_graph.world_frame_id(),
+            X_PB=RigidTransform(config.X_PB.GetDeterministicValue()),
+            color_camera=color,
+            depth_camera=depth,
+        )
+    )
+    sensor.set_name(config.name)
+    builder.Connect(
+        scene_graph.get_query_output_port(), sensor.query_object_input_port()
+    )
+    model = builder.AddSystem(
+        ConstantValueSource(Value(pinhole_camera(config)))
+    )
+    model.set_name(f"{config.name}_camera")
+    return sensor, model

@@ -1,0 +1,26 @@
+"""What a family of objects is."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from xray_drake.scene.shapes import Solid
+
+
+@dataclass(frozen=True)
+class Family:
+    """A shape with free sizes.
+
+    Attributes:
+        shape: draws one member; all its randomness is from the generator.
+        density: (lowest, highest) mean density of the matter inside the
+            surface, kg/m³. A closed box is counted as filled.
+    """
+
+    shape: Callable[[np.random.Generator], Solid]
+    density: tuple[float, float]
+
+    def __call__(self, rng: np.random.Generator) -> tuple[Solid, float]:
+        """Draws the shape and the density, kg/m³, of one member."""
+        return self.shape(rng), float(rng.uniform(*self.density))

@@ -1,0 +1,247 @@
+"""Puts the bin, the tote and objects into a MultibodyPlant."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    AddCompliantHydroelasticProperties,
+    AddContactMaterial,
+    Convex,
+    GeometryInstance,
+    InMemoryMesh,
+    MakePhongIllustrationProperties,
+    Mesh,
+    PerceptionProperties,
+    ProximityProperties,
+    RenderLabel,
+    Rgba,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import (
+    AddMultibodyPlant,
+    CoulombFriction,
+    MultibodyPlant,
+    MultibodyPlantConfig,
+)
+from pydrake.multibody.tree import (
+    QuaternionFloatingJoint,
+    RigidBody,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.framework import DiagramBuilder
+
+from xray_drake.geometry.convex import half_thickness
+from xray_drake.resources import PACKAGE_NAME
+from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.parsing import configure_parser
+
+BIN_FLOOR_X = (-0.25, 0.25)
+BIN_FLOOR_Y = (-0.20, 0.20)
+BIN_WALL_HEIGHT = 0.12
+"""Inside of the bin, m (PROTOCOL.md); the floor's top is z = 0."""
+
+TOTE_POSITION = (0.62, 0.0, 0.0)
+"""Centre of the tote's inside floor in the world, m: beside the bin and out
+of the overhead camera's view."""
+
+PRESSURE_GRADIENT = 2e7
+"""Pa/m. How fast pressure rises with depth in an object, the same in all.
+
+Drake's compliant bodies have pressure E·depth/H, H being half a piece's
+thickness. One modulus E for all makes thin pieces very stiff: the 5 mm target
+then hops for ever (tilting 0.7 mm at every other step) and drives its
+neighbours. So E is chosen per piece as this gradient times H."""
+
+HUNT_CROSSLEY_DISSIPATION = 10.0
+"""s/m."""
+
+TUMBLE_TIME = 0.05
+"""s. An object's free rotation decays over this time: it stands in for the
+rolling resistance that rigid round bodies lack."""
+
+
+@dataclass(frozen=True)
+class PlantObject:
+    """An object as it stands in a plant.
+
+    ``RigidBody.Lock`` and ``GetFloatingBaseBodies`` do not know bodies on an
+    explicit floating joint, so body and joint are kept together here.
+    """
+
+    model: ObjectModel
+    body: RigidBody
+    joint: QuaternionFloatingJoint
+
+    @property
+    def name(self) -> str:
+        """The object's name, which is also its model instance's."""
+        return self.model.name
+
+
+def default_plant_config() -> MultibodyPlantConfig:
+    """Returns the settings under which heaps come to rest.
+
+    Hydroelastic contact, since one point per pair lets flat faces rock and
+    the thin target sink; "lagged" at 5 ms, since "sap" throws the target and
+    "similar" settles slowly; a tight stiction tolerance, since heaps creep at
+    the default one.
+    """
+    return MultibodyPlantConfig(
+        time_step=0.005,
+        contact_model="hydroelastic_with_fallback",
+        discrete_contact_approximation="lagged",
+        stiction_tolerance=1e-4,
+        contact_surface_representation="polygon",
+    )
+
+
+def add_plant(
+    builder: DiagramBuilder, config: MultibodyPlantConfig
+) -> tuple[MultibodyPlant, SceneGraph]:
+    """Adds a plant and its scene graph to a diagram under construction."""
+    plant, scene_graph = AddMultibodyPlant(config=config, builder=builder)
+    plant.set_name("plant")
+    scene_graph.set_name("scene_graph")
+    return plant, scene_graph
+
+
+def add_bin(plant: MultibodyPlant, *, with_tote: bool = False) -> None:
+    """Adds the bin, and the tote beside it, as bodies welded to the world.
+
+    They must not be geometry of the world body itself: up to Drake 1.51.1
+    locked joints that touch the world body's geometry end the process.
+    """
+    parser = Parser(plant)
+    configure_parser(parser)
+    parser.AddModelsFromUrl(f"package://{PACKAGE_NAME}/bin/bin.sdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("bin"))
+    if with_tote:
+        parser.AddModelsFromUrl(f"package://{PACKAGE_NAME}/tote/tote.sdf")
+        plant.WeldFrames(
+            plant.world_frame(),
+            plant.GetFrameByName("tote"),
+            RigidTransform(TOTE_POSITION),
+        )
+
+
+def inside_bin(p_W: np.ndarray) -> bool:
+    """Says whether a body whose origin is at ``p_W`` (3,) is in the bin."""
+    return bool(
+        BIN_FLOOR_X[0] < p_W[0] < BIN_FLOOR_X[1]
+        and BIN_FLOOR_Y[0] < p_W[1] < BIN_FLOOR_Y[1]
+        and p_W[2] > -0.01
+    )
+
+
+def in_memory_mesh(mesh: trimesh.Trimesh, label: str) -> InMemoryMesh:
+    """Returns a mesh as Drake takes it, with the normals that VTK needs.
+
+    Vertices are split at creases, so that edges look sharp.
+    """
+    shaded = trimesh.graph.smooth_shade(
+        mesh, angle=np.deg2rad(35), facet_minarea=None
+    )
+    text = trimesh.exchange.obj.export_obj(shaded, include_normals=True)
+    return InMemoryMesh(
+        mesh_file=MemoryFile(
+            contents=text, extension=".obj", filename_hint=label
+        )
+    )
+
+
+def add_object(
+    plant: MultibodyPlant,
+    model: ObjectModel,
+    *,
+    pressure_gradient: float = PRESSURE_GRADIENT,
+    dissipation: float = HUNT_CROSSLEY_DISSIPATION,
+    tumble_time: float = TUMBLE_TIME,
+) -> PlantObject:
+    """Adds an object as a floating body in a model instance of its name.
+
+    Args:
+        plant: not finalized, registered with a scene graph.
+        model: the object.
+        pressure_gradient: of the compliant contact, Pa/m.
+        dissipation: Hunt-Crossley dissipation, s/m.
+        tumble_time: time over which a free rotation decays, s.
+
+    Raises:
+        RuntimeError: the plant has an object of that name.
+    """
+    instance = plant.AddModelInstance(model.name)
+    unit_inertia_Com = model.inertia / model.mass
+    inertia = SpatialInertia(
+        mass=model.mass,
+        p_PScm_E=model.p_OCom,
+        G_SP_E=_unit_inertia_about_origin(unit_inertia_Com, model.p_OCom),
+    )
+    body = plant.AddRigidBody(model.name, instance, inertia)
+    joint = plant.AddJoint(
+        QuaternionFloatingJoint(
+            name=f"{model.name}_joint",
+            frame_on_parent=plant.world_frame(),
+            frame_on_child=body.body_frame(),
+            angular_damping=float(np.trace(model.inertia) / 3 / tumble_time),
+            translational_damping=0.0,
+        )
+    )
+    friction = CoulombFriction(model.friction, model.friction)
+    for index, vertices in enumerate(model.pieces):
+        proximity = ProximityProperties()
+        AddContactMaterial(
+            dissipation=dissipation, friction=friction, properties=proximity
+        )
+        AddCompliantHydroelasticProperties(
+            resolution_hint=0.05,
+            hydroelastic_modulus=pressure_gradient * half_thickness(vertices),
+            properties=proximity,
+        )
+        plant.RegisterCollisionGeometry(
+            body,
+            RigidTransform(),
+            Convex(points=vertices.T, label=f"{model.name}_{index}"),
+            f"piece_{index}",
+            proximity,
+        )
+    _register_visual(plant, body, model)
+    return PlantObject(model=model, body=body, joint=joint)
+
+
+def add_objects(
+    plant: MultibodyPlant, models: Iterable[ObjectModel]
+) -> list[PlantObject]:
+    """Adds several objects; see :func:`add_object`."""
+    return [add_object(plant, model) for model in models]
+
+
+def _unit_inertia_about_origin(
+    G_SCom: np.ndarray, p_OCom: np.ndarray
+) -> UnitInertia:
+    shift = np.dot(p_OCom, p_OCom) * np.eye(3) - np.outer(p_OCom, p_OCom)
+    G = G_SCom + shift
+    return UnitInertia(
+        Ixx=G[0, 0], Iyy=G[1, 1], Izz=G[2, 2],
+        Ixy=G[0, 1], Ixz=G[0, 2], Iyz=G[1, 2],
+    )  # fmt: skip
+
+
+def _register_visual(
+    plant: MultibodyPlant, body: RigidBody, model: ObjectModel
+) -> None:
+    shape = Mesh(in_memory_mesh(model.visual, model.name))
+    instance = GeometryInstance(RigidTransform(), shape, "visual")
+    instance.set_illustration_properties(
+        MakePhongIllustrationProperties(np.array(model.color))
+    )
+    perception = PerceptionProperties()
+    perception.AddProperty("phong", "diffuse", Rgba(*model.color))
+    perception.AddProperty("label", "id", RenderLabel(int(body.index())))
+    instance.set_perception_properties(perception)
+    plant.RegisterVisualGeometry(body, instance)

@@ -1,0 +1,58 @@
+"""Tells whether bodies rest."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from xray_drake.messages import Message
+from xray_drake.scene.object_model import ObjectModel
+
+
+def box_corners(model: ObjectModel, X_WO: np.ndarray) -> np.ndarray:
+    """Returns the (8, 3) corners of an object's bounding box, in the world."""
+    low, high = model.visual.bounds
+    choice = np.array(
+        [[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)], dtype=bool
+    )
+    corners = np.where(choice, high, low)
+    return corners @ X_WO[:3, :3].T + X_WO[:3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class RestTest(Message):
+    """Whether nothing has moved far for a whole round.
+
+    Speeds alone mislead: a creeping heap is slow, a light body may quiver in
+    place, and one at its turning point is slow for an instant. So points fixed
+    to the bodies are compared from round to round.
+
+    Attributes:
+        motion: no point may move farther than this within a round, m.
+        round_time: length of a round, s.
+        since: when the round began, s.
+        reference: (n, 3) the points then, in the world, m.
+        at_rest: the last whole round was quiet.
+    """
+
+    motion: float
+    round_time: float
+    since: float = -np.inf
+    reference: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    at_rest: bool = False
+
+    def update(self, time: float, points: np.ndarray) -> "RestTest":
+        """Returns the test after a look.
+
+        Args:
+            time: now, s.
+            points: (n, 3) points fixed to the bodies, in the world, m; another
+                number of points begins a new round.
+        """
+        if len(points) == len(self.reference):
+            if time - self.since < self.round_time - 1e-9:
+                return self
+            moved = np.linalg.norm(points - self.reference, axis=-1)
+            at_rest = bool(moved.max(initial=0.0) <= self.motion)
+        else:
+            at_rest = False
+        return RestTest(self.motion, self.round_time, time, points, at_rest)

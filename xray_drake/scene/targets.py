@@ -1,0 +1,152 @@
+"""The targets that are searched for: ten boxes and three things (PROTOCOL.md).
+
+All are red, weigh 600 kg/m³ and have their body origin at the centre of their
+bounding box, with x along the length, y along the width and z along the
+thickness.
+"""
+
+from functools import cache
+
+import numpy as np
+import trimesh
+
+from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.shapes import Solid, box, prism
+
+BOX_TARGETS = tuple(f"box_{ratio}to1" for ratio in range(1, 11))
+"""The boxes of aspect ratio 1 to 10, 9 cm² each (paper section IV.A)."""
+
+TARGET_NAMES = (*BOX_TARGETS, "lid", "domino", "flute")
+
+TARGET_COLOR = (0.8, 0.05, 0.05, 1.0)
+TARGET_DENSITY = 600.0
+"""kg/m³."""
+
+LID_SIZE = (0.060, 0.057, 0.010)
+DOMINO_SIZE = (0.048, 0.024, 0.0075)
+FLUTE_SIZE = (0.110, 0.022, 0.016)
+
+
+@cache
+def target_model(name: str) -> ObjectModel:
+    """Returns a target.
+
+    The flute collides as a solid octagonal prism but has the mass and inertia
+    of the tube that is seen.
+
+    Args:
+        name: one of ``TARGET_NAMES``.
+
+    Raises:
+        ValueError: no target has this name.
+    """
+    if name not in TARGET_NAMES:
+        raise ValueError(
+            f"no target is called {name!r}; there are {', '.join(TARGET_NAMES)}"
+        )
+    if name == "lid":
+        solid = _lid()
+    elif name == "domino":
+        solid = box(*DOMINO_SIZE)
+    elif name == "flute":
+        solid = _flute()
+    else:
+        ratio = 1 + BOX_TARGETS.index(name)
+        solid = box(0.03 * ratio**0.5, 0.03 / ratio**0.5, 0.005)
+    return object_from_pieces(
+        name,
+        list(solid.surfaces),
+        density=TARGET_DENSITY,
+        collision=list(solid.hulls),
+        color=TARGET_COLOR,
+        recenter=False,
+    )
+
+
+def _lid() -> Solid:
+    """A round-cornered plate with a raised rim; 9 collision pieces."""
+    length, width, height = LID_SIZE
+    corner, rim, plate = 0.012, 0.003, 0.003
+    bottom = -height / 2
+
+    def rounded(inset: float, segments: int) -> np.ndarray:
+        return _rounded_rectangle(
+            length - 2 * inset, width - 2 * inset, corner - inset, segments
+        )
+
+    outer = prism(rounded(0, 6), height).moved(z=bottom).surfaces[0]
+    hollow = prism(rounded(rim, 6), height).moved(z=bottom + plate).surfaces[0]
+    surface = trimesh.boolean.difference([outer, hollow], engine="manifold")
+
+    base = prism(rounded(0, 1), plate).moved(z=bottom).hulls
+    outside, inside = rounded(0, 1), rounded(rim, 1)
+    walls = [
+        prism(
+            np.array([outside[i], outside[i - 1], inside[i - 1], inside[i]]),
+            height,
+        )
+        .moved(z=bottom)
+        .hulls[0]
+        for i in range(len(outside))
+    ]
+    return Solid((surface,), (*base, *walls))
+
+
+def _flute() -> Solid:
+    """An elliptical tube, open at both ends, with six finger holes on top."""
+    length, width, height = FLUTE_SIZE
+    wall, hole_radius, spacing, first = 0.002, 0.003, 0.013, -0.022
+
+    def rod(angles: np.ndarray, scale: float, length: float) -> Solid:
+        outline = scale * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        half = np.array([height, width]) / 2
+        along_z = prism(outline * half, length).moved(z=-length / 2)
+        return along_z.turned((0, 1, 0), np.pi / 2)
+
+    fine = np.arange(32) * np.pi / 16
+    outer = rod(fine, 1, length).surfaces[0]
+    bore = rod(fine, 1, 2 * length).surfaces[0]
+    bore.apply_scale([1, 1 - 2 * wall / width, 1 - 2 * wall / height])
+    drills = [
+        trimesh.creation.cylinder(
+            hole_radius,
+            height,
+            sections=16,
+            transform=trimesh.transformations.translation_matrix(
+                [first + i * spacing, 0, height / 2]
+            ),
+        )
+        for i in range(6)
+    ]
+    surface = trimesh.boolean.difference(
+        [outer, bore, *drills], engine="manifold"
+    )
+    octagon = (np.arange(8) + 0.5) * np.pi / 4
+    return Solid((surface,), rod(octagon, 1 / np.cos(np.pi / 8), length).hulls)
+
+
+def _rounded_rectangle(
+    length: float, width: float, radius: float, segments: int
+) -> np.ndarray:
+    """Returns the counterclockwise outline of a rectangle with round corners.
+
+    Args:
+        length: size along x, m.
+        width: size along y, m.
+        radius: of the corners, m.
+        segments: chords per corner. One makes a chamfer that cuts off as much
+            area as the arc.
+
+    Returns:
+        (4·(segments + 1), 2) points, m.
+    """
+    cut = radius if segments > 1 else radius * np.sqrt(2 - np.pi / 2)
+    angles = np.linspace(0, np.pi / 2, segments + 1)
+    corner = cut * np.column_stack([np.cos(angles), np.sin(angles)])
+    center = np.array([length, width]) / 2 - cut
+    points = []
+    for turn in range(4):
+        c, s = np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2)
+        signs = np.sign([c - s, s + c])
+        points.append(corner @ np.array([[c, s], [-s, c]]) + signs * center)
+    return np.concatenate(points)

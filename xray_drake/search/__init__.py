@@ -1,0 +1,1 @@
+"""The whole search: diagram, monitor, rollout, record."""

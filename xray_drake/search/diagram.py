@@ -1,0 +1,164 @@
+"""Builds the whole search as one Diagram."""
+
+from collections.abc import Callable
+
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.grasping.planner import ModelGraspPlanner
+from xray_drake.gripper.quasi_static import DrawnGripper, QuasiStaticGripper
+from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.system import OccupancyInference
+from xray_drake.perception.systems import (
+    GroundTruthInstanceSegmenter,
+    GroundTruthTargetDetector,
+)
+from xray_drake.policy.ranking import RANKINGS
+from xray_drake.policy.system import SearchPolicy
+from xray_drake.scene.heap import Heap
+from xray_drake.station.heap_station import StationParts, build_heap_station
+from xray_drake.station.objects import make_heap
+from xray_drake.station.scenario import Scenario, check_scenario
+
+
+class SearchDiagram(Diagram):
+    """A search as a Diagram that remembers what it was built from.
+
+    Made by :func:`build_search_diagram`.
+
+    Attributes:
+        scenario: as given.
+        heap: what lies in the bin in the default context.
+        station: plant, scene graph and objects.
+        meshcat: as given.
+    """
+
+    scenario: Scenario
+    heap: Heap
+    station: StationParts
+    meshcat: Meshcat | None
+
+
+def build_search_diagram(
+    scenario: Scenario,
+    *,
+    heap: Heap | None = None,
+    meshcat: Meshcat | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SearchDiagram:
+    """Builds station, perception, inference, policy and gripper.
+
+    Every box is a named system: ``heap_station``, ``target_detector``,
+    ``instance_segmenter``, ``occupancy_inference``, ``search_policy``,
+    ``gripper_controller``. Their outputs are exported as ``box.port``, and so
+    are the station's images and its ground truth (``cheat.…``). In the default
+    context the heap is at rest and nothing has been decided.
+
+    Args:
+        scenario: what to build.
+        heap: what lies in the bin; by default it is dropped here, which takes
+            some seconds.
+        meshcat: shows the station, if given.
+        progress: told the share of the drop that is done.
+
+    Raises:
+        ScenarioError: a scenario that cannot be used.
+        HeapError: heap after heap failed.
+    """
+    check_scenario(scenario)
+    if heap is None:
+        heap = make_heap(scenario, progress=progress)
+    builder = DiagramBuilder()
+    station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
+    builder.AddSystem(station)
+    camera = scenario.camera
+    bodies = {
+        name: int(item.body.index()) for name, item in parts.objects.items()
+    }
+
+    detector = builder.AddSystem(
+        GroundTruthTargetDetector(target_label=parts.labels[heap.target.name])
+    )
+    segmenter = builder.AddSystem(
+        GroundTruthInstanceSegmenter(labels=parts.labels)
+    )
+    occupancy = builder.AddSystem(
+        OccupancyInference(
+            inference=ExactInference(heap.target, scenario.perception.exact),
+            width=camera.width,
+            height=camera.height,
+        )
+    )
+    planner = ModelGraspPlanner(
+        heap.models,
+        parameters=scenario.gripper.parameters,
+        config=scenario.gripper.planner,
+        seed=scenario.seed,
+    )
+    policy = builder.AddSystem(
+        SearchPolicy(
+            ranking=RANKINGS[scenario.policy.name],
+            planner=planner,
+            bodies=bodies,
+            target_first=scenario.policy.target_first,
+            min_visible_pixels=scenario.policy.min_visible_pixels,
+            seed=scenario.seed,
+        )
+    )
+    geometry = load_gripper_geometry()
+    gripper = builder.AddSystem(
+        QuasiStaticGripper(
+            judge=planner,
+            objects=heap.models,
+            bodies=bodies,
+            drawn=DrawnGripper(
+                X_BJ=geometry.X_BJ,
+                X_BC=geometry.X_BC,
+                opening=scenario.gripper.parameters.opening,
+            ),
+            config=scenario.gripper.quasi_static,
+            seed=scenario.seed,
+        )
+    )
+
+    name = camera.name
+    for source, output, target, port in (
+        (station, f"{name}.label_image", detector, "label_image"),
+        (station, f"{name}.label_image", segmenter, "label_image"),
+        (station, f"{name}.depth_image", occupancy, "depth_image"),
+        (station, f"{name}.camera", occupancy, "camera"),
+        (detector, "target_mask", occupancy, "target_mask"),
+        (detector, "target_mask", policy, "target_mask"),
+        (segmenter, "instances", policy, "instances"),
+        (occupancy, "occupancy", policy, "occupancy"),
+        (gripper, "status", policy, "status"),
+        (station, "cheat.body_poses", policy, "body_poses"),
+        (policy, "action", gripper, "action"),
+        (station, "cheat.body_poses", gripper, "body_poses"),
+        (
+            station,
+            "cheat.body_spatial_velocities",
+            gripper,
+            "body_spatial_velocities",
+        ),
+        (gripper, "applied_spatial_force", station, "applied_spatial_force"),
+        (gripper, "position", station, "gripper.position"),
+    ):
+        builder.Connect(source.GetOutputPort(output), target.GetInputPort(port))
+    for system in (detector, segmenter, occupancy, policy, gripper):
+        for index in range(system.num_output_ports()):
+            port = system.get_output_port(index)
+            builder.ExportOutput(port, f"{system.get_name()}.{port.get_name()}")
+    for index in range(station.num_output_ports()):
+        port = station.get_output_port(index)
+        builder.ExportOutput(port, port.get_name())
+
+    diagram = SearchDiagram()
+    builder.BuildInto(diagram)
+    diagram.set_name("search")
+    diagram.scenario = scenario
+    diagram.heap = heap
+    diagram.station = parts
+    diagram.meshcat = meshcat
+    return diagram

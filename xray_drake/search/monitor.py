@@ -1,0 +1,226 @@
+"""Watches a search: records each action and ends the rollout."""
+
+from typing import Protocol
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, EventStatus
+
+from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.gripper.quasi_static import LIFT_CLEARANCE
+from xray_drake.messages import (
+    GripperMode,
+    GripperStatus,
+    OccupancyDistribution,
+    Outcome,
+    SearchAction,
+)
+from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin
+from xray_drake.scene.sleep import Sleeper
+from xray_drake.search.diagram import SearchDiagram
+from xray_drake.search.record import ActionRecord, SearchRecord
+
+
+class Observer(Protocol):
+    """Is told of a search while it goes on."""
+
+    def decided(
+        self, diagram: SearchDiagram, context: Context, action: SearchAction
+    ) -> None:
+        """Is called when the policy has decided, before the gripper moves.
+
+        Args:
+            diagram: the search.
+            context: its root context.
+            action: the decision.
+        """
+
+    def ended(
+        self, diagram: SearchDiagram, context: Context, record: ActionRecord
+    ) -> None:
+        """Is called when an action has ended."""
+
+
+class SearchMonitor:
+    """A simulator monitor that ends the rollout by the rules of PROTOCOL.md.
+
+    A Diagram cannot end its own simulation. This can, also in a plain
+    ``simulator.AdvanceTo`` in a notebook: see :func:`attach_monitor`.
+
+    Attributes:
+        record: what has happened so far.
+    """
+
+    def __init__(
+        self, diagram: SearchDiagram, *, observers: tuple[Observer, ...] = ()
+    ) -> None:
+        """Builds the monitor.
+
+        Args:
+            diagram: the search.
+            observers: told of decisions and of ends of actions.
+        """
+        scenario, heap = diagram.scenario, diagram.heap
+        self._diagram = diagram
+        self._observers = observers
+        self._horizon = scenario.horizon
+        self._target = heap.target
+        self._action = diagram.GetOutputPort("search_policy.action")
+        self._status = diagram.GetOutputPort("gripper_controller.status")
+        self._occupancy = diagram.GetOutputPort("occupancy_inference.occupancy")
+        self._poses = diagram.GetOutputPort("cheat.body_poses")
+        self._camera = diagram.GetOutputPort(f"{scenario.camera.name}.camera")
+        self._sleeper = Sleeper(
+            diagram.station.plant,
+            diagram.station.scene_graph,
+            diagram.station.objects.values(),
+        )
+        self._removed: set[str] = set()
+        self._decided = 0
+        self.record = SearchRecord(
+            horizon=scenario.horizon,
+            policy=scenario.policy.name,
+            occupancy=scenario.perception.occupancy,
+            execution=scenario.gripper.execution,
+            seed=scenario.seed,
+            target=heap.target.name,
+            objects=[model.name for model in heap.objects],
+            start={
+                "target_tilt_deg": float(np.rad2deg(heap.target_tilt)),
+                "num_dropped": heap.num_dropped,
+                "attempts": heap.attempts,
+            },
+        )
+
+    def __call__(self, root_context: Context) -> EventStatus:
+        """Looks at the search after a step."""
+        if self.record.end:
+            return self._termination()
+        context = self._diagram.GetMyContextFromRoot(root_context)
+        action: SearchAction = self._action.Eval(context)
+        if action.number > self._decided:
+            self._begin(context, action)
+        status: GripperStatus = self._status.Eval(context)
+        if status.held == self._target.name and self._is_clear(context):
+            self._finish(context, Outcome.LIFTED, "", "success")
+            return self._termination()
+        self._let_sleep(root_context, status)
+        done = (
+            status.mode is GripperMode.IDLE
+            and status.number == self._decided > 0
+            and self.record.actions[-1].outcome is Outcome.NONE
+        )
+        if done:
+            self._finish(
+                context,
+                status.outcome,
+                status.reason,
+                self._end(context, status),
+            )
+        return (
+            self._termination() if self.record.end else EventStatus.DidNothing()
+        )
+
+    def _let_sleep(self, root_context: Context, status: GripperStatus) -> None:
+        """Lets the heap sleep unless an object is being drawn out of it."""
+        objects = self._diagram.station.objects.keys()
+        asleep = self._removed if status.stirring else objects
+        self._sleeper.set_asleep(root_context, asleep - set(status.loose))
+
+    def _termination(self) -> EventStatus:
+        return EventStatus.ReachedTermination(
+            self._diagram, f"the search ended: {self.record.end}"
+        )
+
+    def _target_pose(self, context: Context) -> np.ndarray:
+        index = self._diagram.station.objects[self._target.name].body.index()
+        return self._poses.Eval(context)[int(index)].GetAsMatrix4()
+
+    def _is_clear(self, context: Context) -> bool:
+        X = self._target_pose(context)
+        lowest = (self._target.visual.vertices @ X[2, :3]).min() + X[2, 3]
+        return bool(lowest >= BIN_WALL_HEIGHT + LIFT_CLEARANCE)
+
+    def _end(self, context: Context, status: GripperStatus) -> str:
+        if not inside_bin(self._target_pose(context)[:3, 3]):
+            return "target_lost"
+        if status.outcome is Outcome.NO_GRASP:
+            return "nothing_graspable"
+        if len(self.record.actions) >= self._horizon:
+            return "horizon"
+        return ""
+
+    def _begin(self, context: Context, action: SearchAction) -> None:
+        self._decided = action.number
+        amodal = project_mesh_mask(
+            self._target.visual.vertices,
+            self._target.visual.faces,
+            self._target_pose(context),
+            self._camera.Eval(context),
+        )
+        visible = action.target_pixels / max(np.count_nonzero(amodal), 1)
+        record = self.record
+        if not record.actions:
+            record.start["target_visible_fraction"] = visible
+        elif record.actions[-1].support_after < 0:
+            record.actions[-1].support_after = action.support
+            record.actions[-1].support_01_after = action.support_01
+        record.actions.append(
+            ActionRecord(
+                step=action.number,
+                object=action.grasp.object,
+                is_target=action.is_target,
+                grasp=action.grasp,
+                score=action.score,
+                support_before=action.support,
+                support_01_before=action.support_01,
+                target_visible_fraction=min(visible, 1.0),
+                seconds=dict(action.seconds),
+            )
+        )
+        for observer in self._observers:
+            observer.decided(self._diagram, context, action)
+
+    def _finish(
+        self, context: Context, outcome: Outcome, reason: str, end: str
+    ) -> None:
+        action = self.record.actions[-1]
+        action.outcome, action.reason = outcome, reason
+        poses = self._poses.Eval(context)
+        self._removed = {
+            name
+            for name, item in self._diagram.station.objects.items()
+            if not inside_bin(poses[int(item.body.index())].translation())
+        }
+        self.record.end = end
+        if end == "success":
+            action.support_after = action.support_01_after = 0
+        elif end:
+            rho: OccupancyDistribution = self._occupancy.Eval(context)
+            action.support_after = rho.support_size()
+            action.support_01_after = rho.support_size(0.1)
+        for observer in self._observers:
+            observer.ended(self._diagram, context, action)
+
+
+def attach_monitor(
+    simulator: Simulator,
+    diagram: SearchDiagram,
+    *,
+    observers: tuple[Observer, ...] = (),
+) -> SearchMonitor:
+    """Lets a simulator record a search and end with it.
+
+    A simulator has one monitor; this sets it.
+
+    Args:
+        simulator: of the diagram, or of one that contains it.
+        diagram: the search.
+        observers: told of decisions and of ends of actions.
+
+    Returns:
+        The monitor; its ``record`` grows while the simulator advances.
+    """
+    monitor = SearchMonitor(diagram, observers=observers)
+    simulator.set_monitor(monitor)
+    return monitor

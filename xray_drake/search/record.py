@@ -1,0 +1,161 @@
+"""The record of one rollout, and its JSON file (DESIGN.md)."""
+
+import json
+import os
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xray_drake import __version__
+from xray_drake.messages import Grasp, Outcome
+
+
+@dataclass
+class ActionRecord:
+    """One action of a rollout.
+
+    Attributes:
+        step: 1, 2, ….
+        object: what was grasped; empty where there was no grasp.
+        is_target: the target was grasped.
+        grasp: as planned.
+        outcome: how it ended; NONE while it goes on.
+        reason: why it failed, one line.
+        score: of the object in the ranking.
+        support_before: |supp ρ| when it was decided, pixels.
+        support_after: the same after it; −1 while it goes on.
+        support_01_before: number of pixels with ρ > 0.1 when it was decided.
+        support_01_after: the same after it.
+        target_visible_fraction: visible share of the target's amodal mask when
+            it was decided.
+        seconds: wall time per stage.
+    """
+
+    step: int
+    object: str
+    is_target: bool
+    grasp: Grasp
+    outcome: Outcome = Outcome.NONE
+    reason: str = ""
+    score: float = 0.0
+    support_before: int = 0
+    support_after: int = -1
+    support_01_before: int = 0
+    support_01_after: int = -1
+    target_visible_fraction: float = 0.0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the action as JSON takes it."""
+        grasp = self.grasp
+        return {
+            "step": self.step,
+            "object": self.object,
+            "is_target": self.is_target,
+            "grasp": {
+                "kind": grasp.kind.value if grasp else None,
+                "X_WG": np.round(grasp.X_WG, 6).tolist() if grasp else None,
+                "width": round(grasp.width, 6),
+                "quality": round(grasp.quality, 6),
+            },
+            "outcome": self.outcome.value,
+            "reason": self.reason,
+            "score": round(self.score, 4),
+            "support_before": self.support_before,
+            "support_after": self.support_after,
+            "support_01_before": self.support_01_before,
+            "support_01_after": self.support_01_after,
+            "target_visible_fraction": round(self.target_visible_fraction, 4),
+            "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
+        }
+
+
+@dataclass
+class SearchRecord:
+    """One rollout.
+
+    Attributes:
+        horizon: actions at most.
+        policy, occupancy, execution: what was used.
+        seed: of the scenario.
+        target: its name.
+        objects: names of the distractors in the bin at the start.
+        start: the heap at the start: ``target_visible_fraction``,
+            ``target_tilt_deg``, ``num_dropped``, ``attempts``.
+        actions: in order.
+        end: "success", "horizon", "target_lost", "nothing_graspable";
+            "interrupted" where it was stopped; empty while it goes on.
+    """
+
+    horizon: int
+    policy: str
+    occupancy: str
+    execution: str
+    seed: int
+    target: str
+    objects: list[str]
+    start: dict[str, float] = field(default_factory=dict)
+    actions: list[ActionRecord] = field(default_factory=list)
+    end: str = ""
+
+    @property
+    def success(self) -> bool:
+        """The target was grasped and lifted clear of the bin."""
+        return self.end == "success"
+
+    @property
+    def num_actions(self) -> int:
+        """Actions spent, the one that lifted the target included."""
+        return len(self.actions)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the record as JSON takes it."""
+        return {
+            "success": self.success,
+            "num_actions": self.num_actions,
+            "horizon": self.horizon,
+            "policy": self.policy,
+            "occupancy": self.occupancy,
+            "execution": self.execution,
+            "seed": self.seed,
+            "target": self.target,
+            "objects": self.objects,
+            "start": {k: round(v, 4) for k, v in self.start.items()},
+            "actions": [action.to_dict() for action in self.actions],
+            "end": self.end,
+            "versions": {
+                "xray_drake": __version__,
+                "drake": version("drake"),
+                "numpy": np.__version__,
+            },
+        }
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes a file completely or not at all.
+
+    Raises:
+        OSError: it cannot be written (no such folder, a full disk); what was
+            there before is untouched.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_record(record: SearchRecord, path: Path) -> None:
+    """Writes a record as JSON.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_whole(path, json.dumps(record.to_dict(), indent=1) + "\n")

@@ -1,0 +1,66 @@
+"""Runs one search from start to end."""
+
+from collections.abc import Callable
+
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+
+from xray_drake.search.diagram import SearchDiagram, build_search_diagram
+from xray_drake.search.monitor import Observer, attach_monitor
+from xray_drake.search.record import SearchRecord
+from xray_drake.station.scenario import Scenario
+
+_SLICE = 0.5
+"""s of simulated time between looks at Ctrl-C and the watchdog."""
+
+_LONGEST_ACTION = 30.0
+"""s of simulated time that no action takes; a search longer than the horizon's
+worth of it hangs."""
+
+
+def run_search(
+    search: Scenario | SearchDiagram,
+    *,
+    meshcat: Meshcat | None = None,
+    observers: tuple[Observer, ...] = (),
+    progress: Callable[[float], None] | None = None,
+) -> SearchRecord:
+    """Runs a search until success, the horizon, or another end.
+
+    Ctrl-C ends it with what has been recorded so far and ``end`` set to
+    "interrupted".
+
+    Args:
+        search: a scenario, or a diagram made of one.
+        meshcat: shows it, where a scenario is given.
+        observers: told of decisions and of ends of actions.
+        progress: told the share of the heap's drop that is done, where a
+            scenario is given.
+
+    Raises:
+        ScenarioError: a scenario that cannot be used.
+        HeapError: heap after heap failed.
+        RuntimeError: the simulation failed.
+    """
+    if isinstance(search, Scenario):
+        search = build_search_diagram(
+            search, meshcat=meshcat, progress=progress
+        )
+    simulator = Simulator(search)
+    ApplySimulatorConfig(search.scenario.simulator_config, simulator)
+    monitor = attach_monitor(simulator, search, observers=observers)
+    record = monitor.record
+    limit = _LONGEST_ACTION * search.scenario.horizon
+    try:
+        simulator.Initialize()
+        while not record.end:
+            time = simulator.get_context().get_time()
+            if time > limit:
+                raise RuntimeError(
+                    f"no end after {limit:.0f} s of simulated time (seed "
+                    f"{record.seed}): a system of the diagram hangs"
+                )
+            simulator.AdvanceTo(time + _SLICE)
+    except KeyboardInterrupt:
+        record.end = "interrupted"
+    return record

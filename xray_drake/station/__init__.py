@@ -1,0 +1,1 @@
+"""The bin station: plant, camera, and the scenario that fills them."""

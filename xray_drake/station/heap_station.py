@@ -1,0 +1,151 @@
+"""The bin station: a heap at rest under an overhead camera."""
+
+from dataclasses import dataclass
+
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    Role,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+
+from xray_drake.resources import PACKAGE_NAME
+from xray_drake.scene.cameras import add_camera
+from xray_drake.scene.heap import Heap
+from xray_drake.scene.parsing import configure_parser
+from xray_drake.scene.plant import (
+    PlantObject,
+    add_bin,
+    add_objects,
+    add_plant,
+)
+from xray_drake.station.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class StationParts:
+    """The inside of a station, for those who wire it up or watch it.
+
+    Attributes:
+        plant: the plant of bin, tote and objects.
+        scene_graph: with all geometry.
+        objects: name to object, the target first.
+        labels: name to the pixel value of the object in the label image.
+    """
+
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    objects: dict[str, PlantObject]
+    labels: dict[str, int]
+
+
+def build_heap_station(
+    scenario: Scenario, heap: Heap, *, meshcat: Meshcat | None = None
+) -> tuple[Diagram, StationParts]:
+    """Builds the station around a heap.
+
+    The default context has the heap at rest. Input ports:
+
+    - ``applied_spatial_force``: list of ExternallyAppliedSpatialForce;
+    - ``gripper.position``: where the gripper is drawn, see
+      :class:`xray_drake.gripper.quasi_static.QuasiStaticGripper`.
+
+    Output ports, rendered or computed only when looked at:
+
+    - ``overhead.color_image``, ``overhead.depth_image`` (ImageDepth32F, m),
+      ``overhead.label_image`` (ImageLabel16I, body indices);
+    - ``overhead.camera``: PinholeCamera;
+    - ``query_object``, ``contact_results``;
+    - ``cheat.body_poses``, ``cheat.body_spatial_velocities``: ground truth,
+      which a real robot does not have.
+
+    Args:
+        scenario: its camera, physics and publishing period are used.
+        heap: what lies in the bin.
+        meshcat: shows the station, if given. Drake's
+            ``ApplyVisualizationConfig`` is not used: it also sends to LCM.
+
+    Raises:
+        ValueError: a camera that is not fixed to the world.
+    """
+    builder = DiagramBuilder()
+    plant, scene_graph = add_plant(builder, scenario.plant_config)
+    add_bin(plant, with_tote=True)
+    items = add_objects(plant, heap.models)
+    for item in items:
+        item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))
+    plant.Finalize()
+    _add_drawn_gripper(builder, scene_graph)
+    sensor, camera = add_camera(builder, scene_graph, scenario.camera)
+
+    if meshcat is not None:
+        MeshcatVisualizer.AddToBuilder(
+            builder,
+            scene_graph,
+            meshcat,
+            MeshcatVisualizerParams(
+                publish_period=scenario.visualization.publish_period
+            ),
+        )
+
+    builder.ExportInput(
+        plant.get_applied_spatial_force_input_port(), "applied_spatial_force"
+    )
+    name = scenario.camera.name
+    for port, exported in (
+        (sensor.color_image_output_port(), f"{name}.color_image"),
+        (sensor.depth_image_32F_output_port(), f"{name}.depth_image"),
+        (sensor.label_image_output_port(), f"{name}.label_image"),
+        (camera.get_output_port(), f"{name}.camera"),
+        (scene_graph.get_query_output_port(), "query_object"),
+        (plant.get_contact_results_output_port(), "contact_results"),
+        (plant.get_body_poses_output_port(), "cheat.body_poses"),
+        (
+            plant.get_body_spatial_velocities_output_port(),
+            "cheat.body_spatial_velocities",
+        ),
+    ):
+        builder.ExportOutput(port, exported)
+    station = builder.Build()
+    station.set_name("heap_station")
+    parts = StationParts(
+        plant=plant,
+        scene_graph=scene_graph,
+        objects={item.name: item for item in items},
+        labels={item.name: int(item.body.index()) for item in items},
+    )
+    return station, parts
+
+
+def _add_drawn_gripper(
+    builder: DiagramBuilder, scene_graph: SceneGraph
+) -> None:
+    """Adds a gripper that is seen in Meshcat and nowhere else.
+
+    The ideal gripper of the quasi-static execution acts by forces; its body
+    neither collides nor stands in the camera's view.
+    """
+    gripper = MultibodyPlant(time_step=0.0)
+    gripper.set_name("drawn_gripper")
+    gripper.RegisterAsSourceForSceneGraph(scene_graph)
+    parser = Parser(gripper, "drawn")
+    configure_parser(parser)
+    parser.AddModelsFromUrl(f"package://{PACKAGE_NAME}/gripper/gripper.sdf")
+    gripper.Finalize()
+    source = gripper.get_source_id()
+    inspector = scene_graph.model_inspector()
+    for frame in list(inspector.FramesForSource(source)):
+        for role in (Role.kProximity, Role.kPerception):
+            scene_graph.RemoveRole(source, frame, role)
+    to_pose = builder.AddSystem(MultibodyPositionToGeometryPose(gripper))
+    to_pose.set_name("gripper_pose")
+    builder.Connect(
+        to_pose.get_output_port(), scene_graph.get_source_pose_port(source)
+    )
+    builder.ExportInput(to_pose.get_input_port(), "gripper.position")
