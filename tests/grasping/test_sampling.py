@@ -132,10 +132,12 @@ def test_cups_stay_inside_the_faces_of_a_box(extents, seed):
     [
         (trimesh.creation.box([0.031, 0.031, 0.005]), True),
         (trimesh.creation.box([0.029, 0.1, 0.005]), False),
-        # A ball of radius R is r² / 2R = 2 mm deep at the lip, and the best
-        # plane leaves half of that.
+        # A ball's normals at the lip deviate by asin(r / R): 15° at 58 mm.
         (trimesh.creation.icosphere(4, 0.05), False),
-        (trimesh.creation.icosphere(4, 0.20), True),
+        (trimesh.creation.icosphere(4, 0.07), True),
+        # A cylinder falls off by r² / 2R across its axis, and the lip's plane
+        # halves that: 1 mm at 56 mm. Its ends are large enough for the cup.
+        (trimesh.creation.cylinder(0.200, 0.1, sections=256), True),
     ],
 )
 def test_what_a_cup_seals_on(mesh, seals):
@@ -143,6 +145,23 @@ def test_what_a_cup_seals_on(mesh, seals):
         mesh, np.random.default_rng(0), count=50, radius=0.015
     )
     assert (len(points) > 0) == seals
+
+
+@pytest.mark.parametrize(("radius", "seals"), [(0.075, True), (0.040, False)])
+def test_a_cup_seals_on_the_side_of_a_wide_cylinder(radius, seals):
+    """The lip deviates from its plane by half of R − √(R² − r²)."""
+    points = sample_suction(
+        trimesh.creation.cylinder(radius, 0.2, sections=512),
+        np.random.default_rng(0),
+        count=100,
+        radius=0.015,
+        tolerance=0.001,
+        max_normal_angle=0.5,
+    )
+    on_side = np.abs(points.approach[:, 2]) < 0.5
+    assert on_side.any() == seals
+    drop = radius - np.sqrt(radius**2 - 0.015**2)
+    np.testing.assert_allclose(points.unevenness[on_side], drop / 2, atol=1e-4)
 
 
 def test_a_tilted_cup_finds_the_plane_it_meets():

@@ -159,7 +159,7 @@ class BruteForce:
 
         Looks at the pixels where 1000 points of the surface fall. Poses are
         kept generously: up to 25 % visible where 2 % are allowed, and from
-        0.5 of the best IoU where 0.9 are needed.
+        half of the best IoU or coverage where 90 % of it are needed.
         """
         points = trimesh.sample.sample_surface(self.mesh, 1000, seed=0)[0]
         area = self._footprint()
@@ -180,8 +180,12 @@ class BruteForce:
                 common[part] = self.mask[v, u].mean(axis=1) * area
         if not self.mask.any():
             return poses[shown <= 0.25 * area]
-        iou = common / (shown + np.count_nonzero(self.mask) - common)
-        return poses[iou >= 0.5 * iou.max()]
+        size = np.count_nonzero(self.mask)
+        keep = common >= 0.5 * common.max()
+        if size >= 1.2 * self.config.fragment_share * area:
+            iou = common / (shown + size - common)
+            keep &= iou >= 0.5 * iou.max()
+        return poses[keep]
 
     def _footprint(self) -> float:
         """Returns the area of the silhouette in pixels, roughly."""
@@ -194,16 +198,7 @@ class BruteForce:
         total = np.zeros(self.camera.shape)
         poses = self.worth_casting(poses)
         if self.mask.any():
-            found = list(self.candidates(poses))
-            ious = np.array([self._iou(px, seen) for _, px, seen in found])
-            best = ious.max(initial=0.0)
-            if best < self.config.trusted_iou:
-                raise AssertionError(f"best IoU is {best:.3f}: a fallback case")
-            accepted = [
-                px
-                for (_, px, _), iou in zip(found, ious, strict=True)
-                if iou >= self.config.accept_iou * best
-            ]
+            accepted = self._accepted_seen(poses)
         else:
             allowed = self.config.blank_tolerance
             accepted = [
@@ -216,10 +211,29 @@ class BruteForce:
         total[self._shows_floor()] = 0
         return total / max(total.max(), 1.0)
 
-    def _iou(self, px: np.ndarray, seen: np.ndarray) -> float:
-        modal = px[seen]
-        common = np.count_nonzero(self.mask[modal[:, 0], modal[:, 1]])
-        return common / (len(modal) + np.count_nonzero(self.mask) - common)
+    def _accepted_seen(self, poses: np.ndarray) -> list[np.ndarray]:
+        """Returns the amodal pixels of each candidate that is accepted."""
+        config, size = self.config, np.count_nonzero(self.mask)
+        masks, shown, common = [], [], []
+        for _, px, seen in self.candidates(poses):
+            modal = px[seen]
+            masks.append(px)
+            shown.append(len(modal))
+            common.append(np.count_nonzero(self.mask[modal[:, 0], modal[:, 1]]))
+        area, cover = np.array(shown), np.array(common)
+        iou = cover / (area + size - cover)
+        typical = np.mean([len(px) for px in masks])
+        if (
+            iou.max() >= config.trusted_iou
+            and size >= config.fragment_share * typical
+        ):
+            chosen = iou >= config.accept_iou * iou.max()
+        else:
+            chosen = cover >= config.accept_coverage * cover.max()
+            spill = area - cover
+            least = spill[chosen].min()
+            chosen &= spill <= least + config.accept_spill * typical
+        return [masks[i] for i in np.flatnonzero(chosen)]
 
     def _shows_floor(self) -> np.ndarray:
         low = min(self.config.floor_height, self.mesh.extents[2] / 2)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-_CHUNK = 64
+_CHUNK = 32
+"""Poses computed at once, few enough to stay in the processor's cache."""
 
 
 def clearance(
@@ -37,19 +38,25 @@ def clearance(
     p_W = points_W.astype(np.float32)
     R = X_WB[:, :3, :3].astype(np.float32)
     t = np.einsum("ni,nij->nj", X_WB[:, :3, 3], X_WB[:, :3, :3])
+    center = (center + t[:, None]).astype(np.float32)
+    half = half.astype(np.float32)
     result = np.empty(n)
     for start in range(0, n, _CHUNK):
         part = slice(start, start + _CHUNK)
-        p_B = p_W @ R[part] - t[part, None].astype(np.float32)
-        outside = np.full(p_B.shape[:2], np.inf, np.float32)
+        along = [R[part, :, axis] @ p_W.T for axis in range(3)]
+        nearest = np.full(along[0].shape, np.inf, np.float32)
         for i in range(k):
-            d = np.abs(p_B - center[part, None, i].astype(np.float32))
-            h = half[part, None, i].astype(np.float32)
+            x, y, z = (
+                np.abs(along[axis] - center[part, i, axis, None])
+                for axis in range(3)
+            )
+            x -= half[part, i, 0, None]
             if round_[i]:
-                radial = np.hypot(d[..., 1], d[..., 2]) - h[..., 1]
-                gap = np.maximum(d[..., 0] - h[..., 0], radial)
+                side = np.hypot(y, z) - half[part, i, 1, None]
             else:
-                gap = (d - h).max(axis=-1)
-            np.minimum(outside, gap, out=outside)
-        result[part] = outside.min(axis=1)
+                y -= half[part, i, 1, None]
+                z -= half[part, i, 2, None]
+                side = np.maximum(y, z, out=y)
+            np.minimum(nearest, np.maximum(x, side, out=x), out=nearest)
+        result[part] = nearest.min(axis=1)
     return result

@@ -1,5 +1,6 @@
 """Collision checks of a gripper that comes straight down on a heap."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +25,6 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
-from scipy.spatial.transform import Rotation
 
 from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.resources import models_dir
@@ -42,11 +42,20 @@ _TOOL_AWAY = np.array([1.0, 0, 0, 0, 0, 0, -100.0])
 
 
 def _generalised(X: np.ndarray) -> np.ndarray:
-    q = np.empty(7)
-    x, y, z, w = Rotation.from_matrix(X[:3, :3]).as_quat()
-    q[:4] = w, x, y, z
-    q[4:] = X[:3, 3]
-    return q
+    """Returns the (7,) position of a floating body at a 4×4 pose.
+
+    The largest component of the quaternion is found first, for accuracy.
+    """
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = X.tolist()
+    candidates = (
+        (1 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1 - a - e + i),
+    )
+    q = max(candidates, key=lambda q: sum(v * v for v in q))
+    scale = 1.0 / math.sqrt(sum(v * v for v in q))
+    return np.array([*(v * scale for v in q), x, y, z])
 
 
 def _box_points(
@@ -113,7 +122,7 @@ class GraspScene:
         """
         if len({model.name for model in objects}) != len(objects):
             raise ValueError("objects of a grasp scene need unique names")
-        self._gripper = gripper
+        self._open_width = gripper.open_width
         self._X_JB = np.linalg.inv(gripper.X_BJ)
         self._X_CB = np.linalg.inv(gripper.X_BC)
 
@@ -255,11 +264,13 @@ class GraspScene:
 
     def _set_jaw(self, X_WG: np.ndarray, opening: float) -> None:
         X_WB = X_WG @ self._X_JB
-        self._place(self._base, _generalised(X_WB))
+        q = _generalised(X_WB)
+        self._place(self._base, q)
+        travel = 0.5 * (self._open_width - opening)
         for side, body in self._fingers.items():
-            X_BF = np.eye(4)
-            X_BF[1, 3] = side * 0.5 * (self._gripper.open_width - opening)
-            self._place(body, _generalised(X_WB @ X_BF))
+            finger = q.copy()
+            finger[4:] += side * travel * X_WB[:3, 1]
+            self._place(body, finger)
         self._place(self._suction, _TOOL_AWAY)
 
     def _set_suction(self, X_WG: np.ndarray) -> None:

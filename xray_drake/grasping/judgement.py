@@ -23,7 +23,8 @@ from xray_drake.scene.object_model import ObjectModel
 GRAVITY = 9.81
 """m/s²."""
 
-_DOWN = np.array([0.0, 0.0, -1.0])
+DOWN = np.array([0.0, 0.0, -1.0])
+"""Direction of gravity in the world."""
 
 
 @dataclass
@@ -45,7 +46,7 @@ class JudgementConfig:
     # The rigid part of the cup ends this far before its lip, m.
     cup_standoff: float = 0.002
     # A cup seals where the surface is this near the lip's plane, m, …
-    seal_tolerance: float = 0.003
+    seal_tolerance: float = 0.0025
     # … and its normals deviate by no more than this, rad. Both together let
     # the cup seal on cylinders of 25 mm radius, as bellows cups do.
     seal_angle: float = 0.70
@@ -198,7 +199,7 @@ class GraspJudge:
                 return JudgedGrasp(0.0, f"jaw closes on {hit}", X_WG, width)
 
         weight = GRAVITY * model.mass
-        gravity = poses[name][:3, :3].T @ _DOWN
+        gravity = poses[name][:3, :3].T @ DOWN
         # Two cones of force: no grasp holds more than this.
         bound = 2 * self.parameters.force * np.sqrt(1 + friction**2)
         holding = 0.0
@@ -218,7 +219,8 @@ class GraspJudge:
         y = X_OG[:3, 1]
         cosine = min(-contacts[0].normal @ y, contacts[1].normal @ y)
         alignment = max(
-            0.0, 1.0 - np.arccos(min(1.0, cosine)) / np.arctan(friction)
+            0.0,
+            1.0 - np.arccos(min(1.0, cosine)) / np.arctan(max(friction, 1e-6)),
         )
         quality = held * (0.5 + 0.5 * alignment) * (0.5 + 0.5 * coverage)
         return JudgedGrasp(float(quality), "", X_WG, width)
@@ -341,7 +343,7 @@ class GraspJudge:
         x = X_OG[:3, 0] - (X_OG[:3, 0] @ z) * z
         x = x / np.linalg.norm(x)
         R_OC = np.stack([x, np.cross(z, x), z], axis=-1)
-        gravity = poses[name][:3, :3].T @ _DOWN
+        gravity = poses[name][:3, :3].T @ DOWN
         holding = float(
             suction_holding_force(
                 R_OC.T @ (model.p_OCom - seal.center[0]),

@@ -7,10 +7,16 @@ from typing import Protocol
 
 import numpy as np
 
+from xray_drake.grasping.candidates import (
+    GraspCandidates,
+    in_groups,
+    jaw_candidates,
+    same_grasp,
+    suction_candidates,
+)
 from xray_drake.grasping.clearance import clearance
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.judgement import (
-    GRAVITY,
     GraspJudge,
     JudgedGrasp,
     JudgementConfig,
@@ -22,7 +28,6 @@ from xray_drake.grasping.sampling import (
     sample_suction,
     surface_points,
 )
-from xray_drake.grasping.wrench import suction_holding_force
 from xray_drake.messages import Grasp, GraspKind
 from xray_drake.scene.object_model import ObjectModel
 
@@ -66,18 +71,19 @@ class GraspPlannerConfig:
     max_tilt: float = 1.05
     # Turns of the cup about its axis that are tried.
     suction_turns: int = 8
-    # Points on each object's surface, for the cheap check of clearance.
+    # Points on each object's surface, for the cheap check of clearance; the
+    # object to grasp gets four times as many.
     surface_points: int = 150
     # Candidates whose clearance is estimated, and those of them that are
     # judged, at most.
     max_candidates: int = 800
-    max_checks: int = 60
+    max_checks: int = 100
     # A grasp with this much free space around the gripper loses nothing, m.
-    full_clearance: float = 0.005
+    full_clearance: float = 0.008
     # The search ends when this many grasps that hold have been found, …
-    enough: int = 5
+    enough: int = 10
     # … or one of this quality.
-    good_enough: float = 0.85
+    good_enough: float = 0.9
     # An excluded grasp excludes those this near, m and rad.
     same_position: float = 0.005
     same_angle: float = 0.175
@@ -86,49 +92,14 @@ class GraspPlannerConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Poses to check: (n, 4, 4) X_WG; (n,) width, score and group."""
-
-    kind: GraspKind
-    X_WG: np.ndarray
-    width: np.ndarray
-    score: np.ndarray
-    group: np.ndarray
-
-    def take(self, index: np.ndarray) -> "_Candidates":
-        return _Candidates(
-            self.kind,
-            self.X_WG[index],
-            self.width[index],
-            self.score[index],
-            self.group[index],
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class _Candidate:
-    """One of them that may be free, and how much space it has, in [½, 1]."""
+    """One of them that may be free, and how robust it is, in (0, 1]."""
 
     kind: GraspKind
     X_WG: np.ndarray
     width: float
     score: float
     robustness: float
-
-
-def _rotation(axes: Sequence[np.ndarray]) -> np.ndarray:
-    return np.stack(axes, axis=-1)
-
-
-def _in_groups(score: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Orders by score, but the best of each group before all second bests."""
-    order = np.lexsort((-score, group))
-    first = np.r_[True, group[order][1:] != group[order][:-1]]
-    starts = np.flatnonzero(first)
-    rank = np.arange(len(order)) - np.repeat(
-        starts, np.diff(np.r_[starts, len(order)])
-    )
-    return order[np.lexsort((-score[order], rank))]
 
 
 class ModelGraspPlanner:
@@ -141,6 +112,11 @@ class ModelGraspPlanner:
     returns the best of the first few that hold. In between, a cloud of points
     on all surfaces tells which candidates cannot be free and how much space the
     others have; quality and rank suffer where there is little of it.
+
+    Quality is 1 − weight / largest weight that can be held, times factors in
+    [½, 1] for what it depends on in execution: alignment of the contact normals
+    with the closing axis and share of the pad that touches, or evenness under
+    the lip and distance from edges; and free space around the gripper.
 
     The result depends on the seed, on the object's name and pose, and on the
     heap, not on what was planned before.
@@ -226,20 +202,18 @@ class ModelGraspPlanner:
         Raises:
             KeyError: an object without a model or without a pose.
         """
-        X_WO = np.asarray(poses[object_name], dtype=float)
+        poses = {name: np.asarray(X, float) for name, X in poses.items()}
+        X_WO = poses[object_name]
         X_OW = np.linalg.inv(X_WO)
         self._judge.scene.set_poses(poses)
         points = self._points_around(object_name, poses)
-        both = (
-            self._jaw_candidates(object_name, X_WO),
-            self._suction_candidates(object_name, X_WO),
-        )
+        both = self._candidates(object_name, X_WO)
         groups = 1 + both[0].group.max(initial=0)
-        order = _in_groups(
+        order = in_groups(
             np.concatenate([c.score for c in both]),
             np.concatenate([both[0].group, groups + both[1].group]),
         )[: self.config.max_candidates]
-        size = len(both[0].score)
+        size = len(both[0])
 
         best, found, checked = Grasp(), 0, 0
         for start in range(0, len(order), _CHUNK):
@@ -287,16 +261,44 @@ class ModelGraspPlanner:
                     return best
         return best
 
+    def _candidates(
+        self, name: str, X_WO: np.ndarray
+    ) -> tuple[GraspCandidates, GraspCandidates]:
+        """Returns those of the jaw and those of the cup."""
+        model, config = self._objects[name], self.config
+        pairs, points = self.samples(name)
+        return (
+            jaw_candidates(
+                model,
+                pairs,
+                X_WO,
+                self._judge,
+                friction=self.friction(name),
+                max_tilt=config.max_tilt,
+                insertion=config.insertion,
+            ),
+            suction_candidates(
+                model,
+                points,
+                X_WO,
+                parameters=self.parameters,
+                friction=self.friction(name),
+                max_tilt=config.max_tilt,
+                seal_tolerance=config.judgement.seal_tolerance,
+                turns=config.suction_turns,
+            ),
+        )
+
     def _with_clearance(
-        self, candidates: _Candidates, points: np.ndarray
+        self, candidates: GraspCandidates, points: np.ndarray
     ) -> list[_Candidate]:
         """Drops those that cannot be free, scores the others by their space."""
         for stride in (_COARSE, 1):
             space = self._clearance(candidates, points[::stride])
             free = space > -_POINT_TOLERANCE
             candidates, space = candidates.take(free), space[free]
-        robustness = 0.5 + 0.5 * np.clip(
-            space / self.config.full_clearance, 0.0, 1.0
+        robustness = candidates.robustness * (
+            0.5 + 0.5 * np.clip(space / self.config.full_clearance, 0.0, 1.0)
         )
         return [
             _Candidate(
@@ -316,6 +318,8 @@ class ModelGraspPlanner:
         clouds = [self._judge.scene.bin_points]
         for other, X_WO in poses.items():
             cloud = self._surface(other)
+            if other != name:
+                cloud = cloud[: self.config.surface_points]
             clouds.append(cloud @ X_WO[:3, :3].T + X_WO[:3, 3])
         points = np.concatenate(clouds)
         middle = poses[name][:3, 3]
@@ -327,12 +331,12 @@ class ModelGraspPlanner:
         if name not in self._surfaces:
             rng = np.random.default_rng([self._seed, zlib.crc32(name.encode())])
             self._surfaces[name], _ = surface_points(
-                self._objects[name].visual, self.config.surface_points, rng
+                self._objects[name].visual, 4 * self.config.surface_points, rng
             )
         return self._surfaces[name]
 
     def _clearance(
-        self, candidates: _Candidates, points: np.ndarray
+        self, candidates: GraspCandidates, points: np.ndarray
     ) -> np.ndarray:
         """Returns the (n,) free space around the gripper where it may stop."""
         gripper, config = self._judge.gripper, self.config.judgement
@@ -377,6 +381,7 @@ class ModelGraspPlanner:
         """
         if not grasp:
             raise ValueError("there is no grasp to judge")
+        poses = {name: np.asarray(X, float) for name, X in poses.items()}
         self._judge.scene.set_poses(poses)
         return self._judge_one(
             grasp.kind,
@@ -414,169 +419,13 @@ class ModelGraspPlanner:
     def _is_excluded(
         self, kind: GraspKind, X_OG: np.ndarray, excluded: Sequence[Grasp]
     ) -> bool:
-        """A jaw turned by half a turn about its approach is the same jaw."""
-        for grasp in excluded:
-            if grasp.kind is not kind:
-                continue
-            distance = np.linalg.norm(grasp.X_OG[:3, 3] - X_OG[:3, 3])
-            R = grasp.X_OG[:3, :3].T @ X_OG[:3, :3]
-            if kind is GraspKind.JAW and R[1, 1] < 0:
-                R = np.diag([-1.0, -1.0, 1.0]) @ R
-            cosine = (
-                R[2, 2]
-                if kind is GraspKind.SUCTION
-                else (0.5 * (np.trace(R) - 1))
+        return any(
+            same_grasp(
+                grasp,
+                kind,
+                X_OG,
+                position=self.config.same_position,
+                angle=self.config.same_angle,
             )
-            if distance < self.config.same_position and cosine > np.cos(
-                self.config.same_angle
-            ):
-                return True
-        return False
-
-    def _steepness(self, approach: np.ndarray) -> np.ndarray:
-        """0 at the largest tilt allowed, 1 straight down, negative beyond."""
-        limit = np.cos(self.config.max_tilt)
-        return (-approach[..., 2] - limit) / (1 - limit)
-
-    def _jaw_candidates(self, name: str, X_WO: np.ndarray) -> _Candidates:
-        model = self._objects[name]
-        pairs, _ = self.samples(name)
-        R, p = X_WO[:3, :3], X_WO[:3, 3]
-        middle, axis = pairs.middle @ R.T + p, pairs.axis @ R.T
-        across = np.array([0.0, 0.0, -1.0]) + axis[:, 2:] * axis
-        norm = np.linalg.norm(across, axis=1)
-        usable = norm > 0.1
-        middle, axis = middle[usable], axis[usable]
-        steepest = across[usable] / norm[usable, None]
-        sideways = np.cross(axis, steepest)
-
-        # (tilt, flip, pair) → flat
-        tilt = np.deg2rad([0.0, -20.0, 20.0, -40.0, 40.0])
-        approach = (
-            np.cos(tilt)[:, None, None] * steepest
-            + np.sin(tilt)[:, None, None] * sideways
-        )
-        flip = np.array([1.0, -1.0])
-        n = len(axis)
-        shape = (len(tilt), len(flip), n, 3)
-        z = np.broadcast_to(approach[:, None], shape).reshape(-1, 3)
-        y = np.broadcast_to(flip[:, None, None] * axis, shape).reshape(-1, 3)
-        X_WG = np.tile(np.eye(4), (len(z), 1, 1))
-        X_WG[:, :3, :3] = _rotation([np.cross(y, z), y, z])
-        pair = np.tile(np.arange(n), len(tilt) * len(flip))
-        X_WG[:, :3, 3] = middle[pair] + self.config.insertion * z
-        width = pairs.width[usable][pair]
-
-        opening = self._judge.opening(width)
-        retreat = self._judge.floor_retreat(X_WG, opening)
-        stop = np.where(np.isfinite(retreat), np.maximum(retreat, 0.0), 0.0)
-        X_WG[:, :3, 3] -= stop[:, None] * z
-
-        friction = self.friction(name)
-        com = R @ model.p_OCom + p
-        distance = np.linalg.norm((middle - com)[:, :2], axis=1)[pair]
-        steepness = self._steepness(z)
-        alignment = 1 - pairs.angle[usable][pair] / np.arctan(friction)
-        slack = (self.parameters.opening - width) / (
-            2 * self.config.judgement.clearance
-        )
-        score = (
-            (0.5 + 0.5 * alignment)
-            * (0.5 + 0.5 * steepness)
-            * (0.5 + 0.5 * np.clip(slack, 0, 1))
-            / (1 + (distance / 0.03) ** 2)
-        )
-        holdable = 2 * self.parameters.force * np.sqrt(1 + friction**2)
-        keep = (
-            (steepness >= 0)
-            & (retreat <= self.config.judgement.max_retreat)
-            & (GRAVITY * model.mass < holdable)
-        )
-        # Neighbours on the object, approached alike, are one group.
-        local = (middle - p) @ R
-        cells = np.column_stack(
-            [
-                np.round(local[pair] / 0.01),
-                np.round(pairs.axis[usable][pair] / 0.5),
-                np.repeat(np.arange(len(tilt) * len(flip)), n),
-            ]
-        )[keep]
-        group = (
-            np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-            if len(cells)
-            else np.zeros(0, int)
-        )
-        return _Candidates(
-            GraspKind.JAW, X_WG[keep], width[keep], score[keep], group
-        )
-
-    def _suction_candidates(self, name: str, X_WO: np.ndarray) -> _Candidates:
-        model, p = self._objects[name], self.parameters
-        _, points = self.samples(name)
-        R = X_WO[:3, :3]
-        approach = points.approach @ R.T
-        center = points.point @ R.T + X_WO[:3, 3]
-        steepness = self._steepness(approach)
-        usable = steepness >= 0
-        approach, center = approach[usable], center[usable]
-
-        # The first turn has the fingers' side (−x) away from the bin's centre.
-        turns = self.config.suction_turns
-        angle = 2 * np.pi * np.arange(turns) / turns
-        reference = np.tile([1.0, 0.0, 0.0], (len(approach), 1))
-        x0 = reference - (reference * approach).sum(1)[:, None] * approach
-        small = np.linalg.norm(x0, axis=1) < 0.1
-        x0[small] = np.cross(approach[small], [0.0, 1.0, 0.0])
-        x0 = x0 / np.linalg.norm(x0, axis=1, keepdims=True)
-        y0 = np.cross(approach, x0)
-        x = (
-            np.cos(angle)[:, None, None] * x0
-            + np.sin(angle)[:, None, None] * y0
-        ).reshape(-1, 3)
-        point = np.tile(np.arange(len(approach)), turns)
-        z = approach[point]
-        X_WG = np.tile(np.eye(4), (len(z), 1, 1))
-        X_WG[:, :3, :3] = _rotation([x, np.cross(z, x), z])
-        X_WG[:, :3, 3] = center[point]
-
-        com = R @ model.p_OCom + X_WO[:3, 3]
-        R_GW = np.swapaxes(X_WG[:, :3, :3], 1, 2)
-        lever = np.einsum("nij,nj->ni", R_GW, com - X_WG[:, :3, 3])
-        holding = suction_holding_force(
-            lever,
-            R_GW @ np.array([0.0, 0.0, -1.0]),
-            friction=self.friction(name),
-            vacuum_force=p.vacuum_force,
-            cup_radius=p.cup_radius,
-            elasticity=p.cup_elasticity,
-        )
-        held = 1 - GRAVITY * model.mass / holding
-        distance = np.linalg.norm((center - com)[:, :2], axis=1)[point]
-        evenness = 1 - points.unevenness[usable] / (
-            self.config.judgement.seal_tolerance
-        )
-        score = (
-            held
-            * (0.5 + 0.5 * evenness[point])
-            * (0.5 + 0.5 * steepness[usable][point])
-            / (1 + (distance / 0.03) ** 2)
-        )
-        keep = held > 0
-        cells = np.column_stack(
-            [
-                np.round(points.point[usable][point] / 0.01),
-                np.repeat(np.arange(turns), len(approach)),
-            ]
-        )[keep]
-        group = (
-            np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-            if len(cells)
-            else np.zeros(0, int)
-        )
-        return _Candidates(
-            GraspKind.SUCTION,
-            X_WG[keep],
-            np.zeros(int(keep.sum())),
-            score[keep],
-            group,
+            for grasp in excluded
         )

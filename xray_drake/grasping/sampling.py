@@ -47,12 +47,15 @@ class SuctionPoints:
     Attributes:
         point: (n, 3) centre of the lip on the surface, in O, m.
         approach: (n, 3) unit normal of the lip's plane, into the object.
-        unevenness: (n,) largest distance of the surface from that plane, m.
+        unevenness: (n,) largest distance of the surface under the lip from
+            that plane, m.
+        roomy: (n,) whether a larger cup would seal there, too.
     """
 
     point: np.ndarray
     approach: np.ndarray
     unevenness: np.ndarray
+    roomy: np.ndarray
 
     def __len__(self) -> int:
         return len(self.point)
@@ -219,7 +222,8 @@ class Seal:
         closed: whether it seals.
         center: (3,) centre of the lip's plane on the cup's axis, m.
         normal: (3,) unit normal of that plane, into the object.
-        unevenness: largest distance of the surface from that plane, m.
+        unevenness: largest distance of the surface under the lip from that
+            plane, m.
         nearest: smallest distance from the cup's plane, along its axis, m.
         spread: largest distance minus smallest, m.
     """
@@ -244,9 +248,10 @@ def seal_cups(
     """Projects cups on a surface along their axes (Dex-Net 3.0, seal test).
 
     The lip, a ring of half its size and the centre are projected. The cup
-    seals if every ray hits, no hit is farther than ``tolerance`` from the
-    plane that fits the hits, and no surface normal deviates from that plane's
-    by more than ``max_normal_angle``.
+    seals if every ray hits, no hit of the lip is farther than ``tolerance``
+    from the plane that fits them, none inside it rises more than twice as far
+    into the cup, and no surface normal deviates from that plane's by more than
+    ``max_normal_angle``.
 
     Args:
         mesh: surface in O, m.
@@ -275,20 +280,23 @@ def seal_cups(
     depth = np.where(np.isfinite(distance), distance, 0.0)
 
     A = np.column_stack([offsets, np.ones(k)])
-    plane = depth @ np.linalg.pinv(A).T
+    plane = depth[:, :RING_POINTS] @ np.linalg.pinv(A[:RING_POINTS]).T
     slope = plane[:, :2]
     scale = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1))
-    residual = np.abs(depth - plane @ A.T).max(axis=1) * scale
+    deviation = (depth - plane @ A.T) * scale[:, None]
+    uneven = np.abs(deviation[:, :RING_POINTS]).max(axis=1)
+    bulge = -deviation[:, RING_POINTS:].min(axis=1)
     normal_C = scale[:, None] * np.column_stack([-slope, np.ones(n)])
     normal = np.einsum("nij,nj->ni", X_OC[:, :3, :3], normal_C)
     cosines = -np.einsum("nki,ni->nk", mesh.face_normals[hit], normal)
     return Seal(
         closed=found
-        & (residual <= tolerance)
+        & (uneven <= tolerance)
+        & (bulge <= 2 * tolerance)
         & (cosines.min(axis=1) >= np.cos(max_normal_angle)),
         center=X_OC[:, :3, 3] + plane[:, 2:] * axis,
         normal=normal,
-        unevenness=residual,
+        unevenness=uneven,
         nearest=depth.min(axis=1),
         spread=np.ptp(depth, axis=1),
     )
@@ -302,6 +310,7 @@ def sample_suction(
     radius: float,
     tolerance: float = 0.001,
     max_normal_angle: float = np.deg2rad(15.0),
+    room: float = 0.004,
 ) -> SuctionPoints:
     """Samples places where a suction cup seals (Mahler et al., Dex-Net 3.0).
 
@@ -312,8 +321,11 @@ def sample_suction(
         rng: random generator.
         count: surface points drawn.
         radius: of the lip, m.
-        tolerance: largest distance of the surface from the lip's plane, m.
+        tolerance: largest distance of the surface under the lip from its
+            plane, m.
         max_normal_angle: largest deviation of the surface's normals, rad.
+        room: the larger cup of ``SuctionPoints.roomy`` has a lip wider by
+            this radius, m.
     """
     points, faces = surface_points(mesh, count, rng)
     X_OC = np.tile(np.eye(4), (len(points), 1, 1))
@@ -331,8 +343,17 @@ def sample_suction(
         X_OC[:, :3, :3] = frame_from_z(seal.normal)
         X_OC[:, :3, 3] = seal.center
     keep = seal.closed
+    roomy = seal_cups(
+        mesh,
+        X_OC[keep],
+        radius=radius + room,
+        tolerance=1.5 * tolerance,
+        max_normal_angle=1.5 * max_normal_angle,
+        reach=0.01,
+    ).closed
     return SuctionPoints(
         point=seal.center[keep],
         approach=seal.normal[keep],
         unevenness=seal.unevenness[keep],
+        roomy=roomy,
     )

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull
 
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import (
     convex_mask,
     facing_triangles,
@@ -45,10 +47,12 @@ class FlatTarget:
     """A target lying on the floor with its body z axis up.
 
     Attributes:
-        vertices: (n, 3) vertices, m; origin at the body's, z from the floor.
+        vertices: (n, 3) vertices of what its silhouette depends on, m; origin
+            at the body's, z from the floor.
         thickness: height of its highest point, m.
         radius: largest horizontal distance of a vertex from the origin, m.
         groups: its column groups.
+        convex: its silhouette is convex, by 99 % of the area.
         top: median height of what is seen from above, m.
     """
 
@@ -61,6 +65,8 @@ class FlatTarget:
         self._faces = np.array(mesh.faces)
         self._hull = _outline(self.vertices[:, :2])
         self._measure_columns()
+        if self.convex:
+            self.vertices = self.vertices[ConvexHull(self.vertices).vertices]
 
     def rotated(self, angle: float) -> np.ndarray:
         """Returns the (n, 3) vertices turned by ``angle`` (rad) about z."""
@@ -68,6 +74,24 @@ class FlatTarget:
         turned = self.vertices.copy()
         turned[:, :2] = self.vertices[:, :2] @ np.array([[c, s], [-s, c]])
         return turned
+
+    def project(
+        self, angle: float, pixels: np.ndarray, camera: PinholeCamera
+    ) -> np.ndarray:
+        """Projects the target where its axis is seen at given pixels.
+
+        Args:
+            angle: orientation about world z, rad.
+            pixels: (n, 2) u, v of the axis at half the target's height.
+            camera: the camera.
+
+        Returns:
+            (n, k, 2) u, v of the vertices.
+        """
+        to_plane = np.linalg.inv(camera.plane_homography(self.thickness / 2))
+        ray = pixels @ to_plane[:, :2].T + to_plane[:, 2]
+        origins = np.pad(ray[:, :2] / ray[:, 2:], ((0, 0), (0, 1)))
+        return camera.project(self.rotated(angle) + origins[:, None])[..., :2]
 
     def mask(self, points: np.ndarray, reach: int) -> np.ndarray:
         """Draws the silhouette of the target's vertices seen at ``points``.
@@ -82,7 +106,7 @@ class FlatTarget:
             (2·reach + 1)² float32 array: 1 where the centre of a cell is
             covered, else 0. Rows along y, columns along x.
         """
-        if self._convex:
+        if self.convex:
             size = 2 * reach + 1
             outline = _outline(points) + reach
             return convex_mask(outline, (size, size)).astype(np.float32)
@@ -163,7 +187,7 @@ class FlatTarget:
         """
         size = (2 * reach + 1) * _SUBSAMPLES
         fine = points * _SUBSAMPLES + (size - 1) / 2
-        if self._convex:
+        if self.convex:
             return convex_mask(_outline(fine), (size, size)).astype(np.uint8)
         canvas = np.zeros((size, size), dtype=np.uint8)
         faces = self._faces[:, ::-1] if seen_from_above else self._faces
@@ -181,7 +205,7 @@ class FlatTarget:
         )
         hull = np.zeros_like(canvas)
         fill_convex(hull, (self._hull / pitch + origin)[None])
-        self._convex = canvas.sum() >= 0.99 * hull.sum()
+        self.convex = canvas.sum() >= 0.99 * hull.sum()
 
         rows, columns = np.nonzero(canvas)
         xy = (np.stack([columns, rows], axis=1) - origin) * pitch

@@ -1,7 +1,6 @@
 """Exact inference of the occupancy distribution of a flat target, online."""
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -9,6 +8,7 @@ import torch
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.columns import FlatTarget
+from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.floor_grid import (
     Floor,
     Window,
@@ -25,38 +25,6 @@ from xray_drake.occupancy.spectra import (
     transform,
 )
 from xray_drake.scene.object_model import ObjectModel
-
-
-@dataclass
-class ExactInferenceConfig:
-    """Numbers of ``ExactInference``."""
-
-    # Orientations over the full turn; a silhouette that repeats itself within
-    # the turn is searched once per distinct orientation.
-    rotations: int = 32
-    # Translations: pitch of the lattice on the floor, m. A pixel covers 1.25
-    # to 1.7 mm of the floor.
-    cell: float = 0.00127
-    # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = field(
-        default_factory=lambda: [-0.25, 0.25, -0.20, 0.20]
-    )
-    # How far a candidate may reach beyond the floor, m.
-    floor_tolerance: float = 0.002
-    # A surface hides what is farther than it by more than this, m.
-    depth_tolerance: float = 0.0001
-    # A target that is not seen may show this share of its silhouette.
-    blank_tolerance: float = 0.02
-    # A candidate of a target that is seen reaches this share of the best IoU.
-    accept_iou: float = 0.9
-    # Where the best IoU is lower, candidates are accepted by coverage.
-    trusted_iou: float = 0.75
-    # Share of the best coverage of the observed mask they must reach.
-    accept_coverage: float = 0.9
-    # A surface lower than this (and than half the target's thickness) is the
-    # floor, m: where it shows, the target is not.
-    floor_height: float = 0.002
-
 
 _MARGIN = 8
 """Cells around the hidden region that a nearly hidden target may touch."""
@@ -83,10 +51,11 @@ class ExactInference:
     sum of the accepted masks is one more.
 
     Mask pixels that lie outside the floor are ignored. If no flat candidate
-    explains the mask (best IoU below ``trusted_iou``: the target is tilted or
-    the mask a fragment), all candidates are accepted that cover nearly
-    (``accept_coverage``) as much of the mask as the best one does, whatever
-    else they would show.
+    explains the mask (best IoU below ``trusted_iou``: the target is tilted) or
+    the mask is a fragment (less than ``fragment_share`` of the silhouette, too
+    few pixels to measure an IoU by), those candidates are accepted that cover
+    nearly as much of the mask as the best one does and show hardly more beyond
+    it than the one that shows least.
     """
 
     def __init__(
@@ -106,22 +75,26 @@ class ExactInference:
             floor: bounds in x and in y, m; replaces ``config.floor``.
 
         Raises:
-            ValueError: no rotation, or a lattice without extent.
+            ValueError: no rotation, or a cell or step that is not positive.
         """
         config = config or ExactInferenceConfig()
         if floor is None:
             x_low, x_high, y_low, y_high = config.floor
             floor = (x_low, x_high), (y_low, y_high)
         rotations = config.rotations if rotations is None else rotations
-        if rotations < 1 or config.cell <= 0:
+        if rotations < 1 or config.cell <= 0 or config.seen_step <= 0:
             raise ValueError(
-                f"need at least one rotation and a positive cell, not "
-                f"{rotations} and {config.cell}"
+                f"need at least one rotation and a positive cell and step, not "
+                f"{rotations}, {config.cell} and {config.seen_step}"
             )
         self.config = config
         self._floor = Floor(*floor)
         self._target = FlatTarget(target.visual)
         self._angles = self._target.distinct_angles(rotations)
+        steps = 2 * np.pi * self._target.radius / config.seen_step
+        self._seen_angles = self._target.distinct_angles(
+            rotations * max(1, int(np.ceil(steps / rotations)))
+        )
         self._reach = int(np.ceil(self._target.radius / config.cell)) + 1
         self._points = [self._target.rotated(angle) for angle in self._angles]
         self._rasters = [
@@ -138,8 +111,13 @@ class ExactInference:
 
     @property
     def angles(self) -> np.ndarray:
-        """The (k,) orientations searched, rad about world z."""
+        """The (k,) orientations of a hidden target, rad about world z."""
         return self._angles
+
+    @property
+    def seen_angles(self) -> np.ndarray:
+        """The (k,) orientations of a target that is seen, rad."""
+        return self._seen_angles
 
     def infer(
         self,
@@ -172,14 +150,12 @@ class ExactInference:
         if mask.any():
             total = count_seen(
                 self._target,
-                self._angles,
+                self._seen_angles,
                 heights < self._target.top,
                 mask,
                 camera,
                 self._floor.half_planes(config.floor_tolerance),
-                accept_iou=config.accept_iou,
-                trusted_iou=config.trusted_iou,
-                accept_coverage=config.accept_coverage,
+                config,
             )
         else:
             total = self._infer_hidden(heights, camera)
@@ -231,9 +207,9 @@ class ExactInference:
             for group in levels
         ]
         hidden = np.minimum.reduce(visible) == 0
-        hidden &= inside(
-            whole, self._floor.half_planes(self.config.floor_tolerance)
-        )
+        floor = self._floor.half_planes(self.config.floor_tolerance)
+        if (on_floor := inside(whole, floor)) is not None:
+            hidden &= on_floor
         rows = np.flatnonzero(hidden.any(axis=1))
         columns = np.flatnonzero(hidden.any(axis=0))
         if not len(rows):
@@ -263,7 +239,8 @@ class ExactInference:
             area = inverse(spectrum, window.shape)
             allowed = self.config.blank_tolerance * self._areas[k] + 0.01
             blank = area <= allowed
-            blank &= torch.from_numpy(inside(window, bounds))
+            if (counts := inside(window, bounds)) is not None:
+                blank &= torch.from_numpy(counts)
             if not blank.any():
                 continue
             accepted = torch.fft.rfft2(blank.to(torch.float32))

@@ -221,19 +221,17 @@ def pose_bounds(
     return np.column_stack([normals, bounds.min(axis=1)])
 
 
-def inside(window: Window, half_planes: np.ndarray) -> np.ndarray:
-    """Returns the (rows, columns) bool mask of cells within half-planes."""
-    columns = np.ones(window.columns, dtype=bool)
-    rows = np.ones(window.rows, dtype=bool)
-    slanted = []
-    for a, b, c in half_planes:
-        if b == 0:
-            columns &= a * window.x <= c + 1e-9
-        elif a == 0:
-            rows &= b * window.y <= c + 1e-9
-        else:
-            slanted.append((a, b, c))
-    mask = np.logical_and.outer(rows, columns)
-    for a, b, c in slanted:
-        mask &= np.add.outer(b * window.y, a * window.x) <= c + 1e-9
+def inside(window: Window, half_planes: np.ndarray) -> np.ndarray | None:
+    """Returns the (rows, columns) bool mask of cells within half-planes.
+
+    None stands for all of them: most half-planes cut nothing off.
+    """
+    x, y = window.x, window.y
+    a, b, limits = half_planes.T
+    limits = limits + 1e-9
+    farthest = np.maximum(a * x[0], a * x[-1]) + np.maximum(b * y[0], b * y[-1])
+    mask = None
+    for k in np.flatnonzero(farthest > limits):
+        cut = np.add.outer(b[k] * y, a[k] * x) <= limits[k]
+        mask = cut if mask is None else mask & cut
     return mask

@@ -4,11 +4,16 @@ Near the place where the target is seen, moving it over the floor moves its
 silhouette by whole pixels without changing it by more than a fraction of one.
 """
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.scanlines import Spans, convex_spans
 from xray_drake.occupancy.columns import FlatTarget
+from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.floor_grid import Window, inside
 from xray_drake.occupancy.spectra import (
     inverse,
@@ -16,6 +21,13 @@ from xray_drake.occupancy.spectra import (
     standard_size,
     transform,
 )
+
+_SLACK = 0.05
+"""Candidates this close to acceptance are drawn once more, exactly."""
+
+_EXACT_WORK = 1_500_000
+"""Rows times corners of all of them up to which that is done: where more are
+near, none decides alone."""
 
 
 def count_seen(
@@ -25,10 +37,7 @@ def count_seen(
     mask: np.ndarray,
     camera: PinholeCamera,
     half_planes: np.ndarray,
-    *,
-    accept_iou: float,
-    trusted_iou: float,
-    accept_coverage: float,
+    config: ExactInferenceConfig,
 ) -> np.ndarray:
     """Counts the accepted poses of a target that is seen, per pixel.
 
@@ -43,18 +52,18 @@ def count_seen(
         camera: the camera.
         half_planes: (m, 3) rows a, b, c: candidates keep to a·x + b·y ≤ c on
             the floor.
-        accept_iou: share of the best IoU that an accepted pose reaches.
-        trusted_iou: if the best IoU is lower, coverage of the mask decides.
-        accept_coverage: share of the best coverage of the mask that is then
-            enough.
+        config: the rules of acceptance.
 
     Returns:
         (H, W) float32: by how many accepted poses a pixel is covered; the mask
         itself where no candidate meets it.
     """
     rows, columns = mask.sum(axis=1), mask.sum(axis=0)
-    middle = np.array([_quantile(columns, 0.5), _quantile(rows, 0.5)])
-    outlines = _outlines(target, angles, middle, camera)
+    middle = np.array([[_quantile(columns, 0.5), _quantile(rows, 0.5)]])
+    outlines = np.concatenate(
+        [target.project(angle, middle, camera) for angle in angles]
+    )
+    outlines -= middle
     reach = int(np.ceil(np.abs(outlines).max())) + 1
     top, bottom = _pose_range(rows, reach)
     left, right = _pose_range(columns, reach)
@@ -66,71 +75,137 @@ def count_seen(
         standard_size(right - left + 2 * reach + 1),
     )
     shape = window.shape
-    in_range = np.zeros(shape, dtype=bool)
-    in_range[
-        reach : reach + bottom - top + 1, reach : reach + right - left + 1
-    ] = True
-
+    tried = (
+        slice(reach, reach + bottom - top + 1),
+        slice(reach, reach + right - left + 1),
+    )
+    would_show = would_show | mask
     observed = transform(_crop(mask, window, False))
-    shown = transform(_crop(would_show | mask, window, True))
-    size = np.count_nonzero(mask)
+    shown = transform(_crop(would_show, window, True))
+    size = int(np.count_nonzero(mask))
     limits = _image_limits(camera, half_planes)
-    ious, common_areas, kernels = [], [], []
-    for outline in outlines:
-        kernel = kernel_spectrum(target.mask(outline, reach), shape)
-        area = inverse(shown * kernel.conj(), shape).round_()
-        common = inverse(observed * kernel.conj(), shape).round_()
+    silhouettes = [target.mask(outline, reach) for outline in outlines]
+    typical = float(np.mean([raster.sum() for raster in silhouettes]))
+    kernels = [kernel_spectrum(raster, shape) for raster in silhouettes]
+    common = torch.stack(
+        [inverse(observed * k.conj(), shape)[tried] for k in kernels]
+    ).round_()
+    for k, outline in enumerate(outlines):
         bounds = limits.copy()
         bounds[:, 2] -= (limits[:, :2] @ outline.T).max(axis=1)
-        counts = torch.from_numpy(in_range & inside(window, bounds))
-        ious.append(common / (area + size - common) * counts)
-        common_areas.append(common * counts)
-        kernels.append(kernel)
-
-    scores, share = ious, accept_iou
-    best = max(float(score.max()) for score in scores)
-    if best < trusted_iou:
-        scores, share = common_areas, accept_coverage
-        best = max(float(score.max()) for score in scores)
-    if best <= 0:
+        if (counts := inside(window, bounds)) is not None:
+            common[k] *= torch.from_numpy(counts[tried])
+    most = common.amax(dim=(1, 2))
+    if most.max() <= 0:
         return mask.astype(np.float32)
-    import os
 
-    if os.environ.get("DBG"):
-        print(
-            "fast best",
-            best,
-            sum(int((s >= share * best).sum()) for s in scores),
-            np.sort(np.concatenate([s.numpy().ravel() for s in scores]))[-8:],
-        )
+    # IoU ≤ common / size, so orientations that cover too little are out.
+    rule = _Rule(config, size, typical)
+    chosen = (most >= rule.least_common(float(most.max()))).nonzero()[:, 0]
+    common = common[chosen]
+    area = torch.stack(
+        [inverse(shown * kernels[k].conj(), shape)[tried] for k in chosen]
+    ).round_()
+    near = rule.accepted(common, area, slack=_SLACK)
+    if target.convex:
+        poses = near.nonzero()
+        work = len(poses) * (2 * reach + 1) * outlines.shape[1]
+        if work <= _EXACT_WORK:
+            pixels = poses[:, [2, 1]].numpy() + [left, top]
+            spans = _spans(
+                target, angles[chosen[poses[:, 0]].numpy()], pixels, camera
+            )
+            accepted = rule.accepted(
+                torch.from_numpy(spans.sums(mask)),
+                torch.from_numpy(spans.sums(would_show)),
+            )
+            return spans.total(accepted.numpy())
+
     total = torch.zeros_like(observed)
-    for score, kernel in zip(scores, kernels, strict=True):
-        accepted = score >= share * best
-        if accepted.any():
-            total += torch.fft.rfft2(accepted.to(torch.float32)) * kernel
+    for k, poses in zip(chosen, rule.accepted(common, area), strict=True):
+        if poses.any():
+            placed = torch.zeros(shape)
+            placed[tried] = poses.to(torch.float32)
+            total += torch.fft.rfft2(placed) * kernels[k]
     return _paste(inverse(total, shape).round_().numpy(), window, camera.shape)
 
 
-def _outlines(
+@dataclass(frozen=True)
+class _Rule:
+    """Which candidates are accepted.
+
+    Attributes:
+        config: the numbers.
+        size: pixels of the observed mask.
+        typical: pixels of a silhouette.
+    """
+
+    config: ExactInferenceConfig
+    size: int
+    typical: float
+
+    @property
+    def _fragment(self) -> bool:
+        return self.size < self.config.fragment_share * self.typical
+
+    def least_common(self, most: float) -> float:
+        """Returns a bound of what accepted candidates share with the mask."""
+        by_coverage = (self.config.accept_coverage - _SLACK) * most
+        if self._fragment:
+            return by_coverage
+        share = self.config.accept_iou - _SLACK
+        return min(by_coverage, share * self.config.trusted_iou * self.size)
+
+    def accepted(
+        self, common: torch.Tensor, area: torch.Tensor, slack: float = 0.0
+    ) -> torch.Tensor:
+        """Returns which candidates are accepted.
+
+        Args:
+            common: pixels of each predicted modal mask within the observed.
+            area: pixels of each predicted modal mask.
+            slack: taken off each share that is asked for.
+        """
+        config = self.config
+        if not self._fragment:
+            iou = common / (area + (self.size - common))
+            best = iou.max()
+            if best >= config.trusted_iou:
+                return iou >= (config.accept_iou - slack) * best
+        share = config.accept_coverage - slack
+        accepted = common >= share * common.max()
+        spill = area - common
+        more = (config.accept_spill + slack) * self.typical
+        return accepted & (spill <= spill[accepted].min() + more)
+
+
+def _spans(
     target: FlatTarget,
     angles: np.ndarray,
-    pixel: np.ndarray,
+    pixels: np.ndarray,
     camera: PinholeCamera,
-) -> np.ndarray:
-    """Projects the target, its axis seen at a pixel.
-
-    Returns:
-        (k, n, 2) vertices for each orientation, pixels from ``pixel``.
-    """
-    half = target.thickness / 2
-    to_plane = np.linalg.inv(camera.plane_homography(half))
-    x, y, scale = to_plane @ [*pixel, 1.0]
-    origin = np.array([x / scale, y / scale, 0.0])
-    return np.stack(
-        [
-            camera.project(target.rotated(angle) + origin)[:, :2] - pixel
-            for angle in angles
-        ]
+) -> Spans:
+    """Draws n poses of a convex target, each where it really is seen."""
+    outlines = []
+    for angle in np.unique(angles):
+        corners = target.project(angle, pixels[angles == angle], camera)
+        around = cv2.convexHull(
+            corners[0].astype(np.float32), returnPoints=False
+        )[:, 0]
+        outlines.append(corners[:, around])
+    corners_most = max(outline.shape[1] for outline in outlines)
+    return convex_spans(
+        np.concatenate(
+            [
+                np.pad(
+                    outline,
+                    ((0, 0), (0, corners_most - outline.shape[1]), (0, 0)),
+                    mode="edge",
+                )
+                for outline in outlines
+            ]
+        ),
+        camera.shape,
     )
 
 

@@ -89,12 +89,14 @@ class OccupancyInference(LeafSystem):
         )
 
     def _calc_occupancy(self, context: Context, output: AbstractValue) -> None:
-        depth = self._depth_image.Eval(context).data[:, :, 0]
-        mask = self._target_mask.Eval(context).data
-        camera = self._camera.Eval(context)
+        image: ImageDepth32F = self._depth_image.Eval(context)
+        mask: TargetMask = self._target_mask.Eval(context)
+        camera: PinholeCamera = self._camera.Eval(context)
         if camera.shape != self._shape:
             raise ValueError(
                 f"{self.get_name()}: the camera's images are {camera.shape}, "
                 f"the system was built for {self._shape}"
             )
-        output.set_value(self._inference.infer(depth, mask, camera))
+        output.set_value(
+            self._inference.infer(image.data[:, :, 0], mask.data, camera)
+        )

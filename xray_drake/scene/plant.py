@@ -58,7 +58,7 @@ thickness. One modulus E for all makes thin pieces very stiff: the 5 mm target
 then hops for ever (tilting 0.7 mm at every other step) and drives its
 neighbours. So E is chosen per piece as this gradient times H."""
 
-HUNT_CROSSLEY_DISSIPATION = 10.0
+HUNT_CROSSLEY_DISSIPATION = 30.0
 """s/m."""
 
 TUMBLE_TIME = 0.05

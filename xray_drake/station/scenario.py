@@ -10,8 +10,9 @@ import yaml
 from pydrake.common.schema import Rotation, Transform
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.geometry import Rgba
-from pydrake.multibody.plant import MultibodyPlantConfig
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 from pydrake.visualization import VisualizationConfig
 
@@ -255,10 +256,19 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             raise ScenarioError(
                 f"{source}: {key} is {number}: it must be at least 1"
             )
+    _check_plant(scenario.plant_config, source)
     if scenario.seed < 0:
         raise ScenarioError(
             f"{source}: seed is {scenario.seed}: it must not be negative"
         )
+
+
+_SCALARS: dict[type, tuple[type, ...]] = {
+    int: (int,),
+    float: (int, float),
+    bool: (bool,),
+    str: (str,),
+}
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -276,6 +286,14 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
+    try:
+        AddMultibodyPlant(config=config, builder=DiagramBuilder())
+    except RuntimeError as error:
+        message = " ".join(str(error).split())
+        raise ScenarioError(f"{source}: plant_config: {message}") from error
+
+
 def _check_keys(tree: dict, schema: type, source: str, prefix: str) -> None:
     """Names an unknown key with its path; Drake's reader names it alone."""
     hints = typing.get_type_hints(schema)
@@ -285,5 +303,11 @@ def _check_keys(tree: dict, schema: type, source: str, prefix: str) -> None:
             near = difflib.get_close_matches(str(key), fields, 1)
             hint = f"; did you mean {prefix}{near[0]}?" if near else ""
             raise ScenarioError(f"{source}: unknown key {prefix}{key}{hint}")
+        kinds = _SCALARS.get(fields[key])
+        if kinds and not isinstance(value, kinds):
+            raise ScenarioError(
+                f"{source}: {prefix}{key} is {value!r}: it must be of type "
+                f"{fields[key].__name__}"
+            )
         if dataclasses.is_dataclass(fields[key]) and isinstance(value, dict):
             _check_keys(value, fields[key], source, f"{prefix}{key}.")

@@ -1,0 +1,1 @@
+"""Many rollouts, and what they say."""

@@ -1,0 +1,209 @@
+"""``xray-drake search``."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydrake.systems.framework import Context
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from xray_drake.cli.main import INTERRUPTED
+from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
+from xray_drake.inspector.recording import record_search, write_html
+from xray_drake.inspector.session import InteractiveSearch
+from xray_drake.messages import SearchAction
+from xray_drake.scene.heap import Heap
+from xray_drake.search.diagram import SearchDiagram, build_search_diagram
+from xray_drake.search.record import ActionRecord, SearchRecord, write_record
+from xray_drake.search.rollout import run_search
+from xray_drake.station.objects import make_heap
+from xray_drake.station.scenario import (
+    Scenario,
+    ScenarioError,
+    check_scenario,
+    load_scenario,
+)
+
+
+@dataclass
+class SearchOptions:
+    """What the command line asked for.
+
+    Attributes:
+        scenario: a name or a YAML file.
+        overrides: path of a field ("scene.target") to its value, or to None
+            to leave it as the scenario has it.
+        json, html: files to write.
+        meshcat: show it live.
+    """
+
+    scenario: str
+    overrides: dict[str, Any]
+    json: Path | None = None
+    html: Path | None = None
+    meshcat: bool = False
+
+
+class _Narrator:
+    """Prints one line per action."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def decided(
+        self, diagram: SearchDiagram, context: Context, action: SearchAction
+    ) -> None:
+        pass
+
+    def ended(
+        self, diagram: SearchDiagram, context: Context, record: ActionRecord
+    ) -> None:
+        what = "the target" if record.is_target else record.object
+        how = record.grasp.kind.value if record.grasp else ""
+        parts = [f"{record.step:2d}  {record.outcome.value}"]
+        if record.object:
+            parts.append(f"{what} by {how}")
+        parts.append(f"target {record.target_visible_fraction:.0%} visible")
+        parts.append(f"support {record.support_before} px")
+        if record.reason:
+            parts.append(record.reason)
+        self._console.print("  ".join(parts), highlight=False, soft_wrap=True)
+
+
+def configure(name: str, overrides: Mapping[str, Any]) -> Scenario:
+    """Loads a scenario and puts in what the command line says.
+
+    Args:
+        name: of a scenario, or a YAML file.
+        overrides: see :class:`SearchOptions`.
+
+    Raises:
+        ScenarioError: see :func:`xray_drake.station.scenario.load_scenario`.
+    """
+    scenario = load_scenario(name)
+    for path, value in overrides.items():
+        if value is None:
+            continue
+        *parents, field = path.split(".")
+        owner: Any = scenario
+        for parent in parents:
+            owner = getattr(owner, parent)
+        setattr(owner, field, value)
+    check_scenario(scenario, "command line")
+    return scenario
+
+
+def run(options: SearchOptions, console: Console) -> int:
+    """Runs the search and returns the exit status.
+
+    Raises:
+        ScenarioError: bad input.
+        OSError: a file that cannot be written.
+        RuntimeError: the simulation failed, or no heap came to rest.
+    """
+    scenario = configure(options.scenario, options.overrides)
+    for path in (options.json, options.html):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise ScenarioError(
+                f"cannot write {path}: the folder "
+                f"{path.absolute().parent} does not exist"
+            )
+    narrator = _Narrator(console)
+    if options.meshcat:
+        return _run_live(scenario, options, narrator, console)
+    heap = _drop(scenario, console)
+    if options.html is None:
+        diagram = build_search_diagram(scenario, heap=heap)
+        record = run_search(diagram, observers=(narrator,))
+    else:
+        diagram = build_search_diagram(
+            scenario, heap=heap, meshcat=start_meshcat()
+        )
+        record, meshcat = record_search(diagram, observers=(narrator,))
+    if options.json is not None:
+        write_record(record, options.json)
+    if options.html is not None:
+        write_html(meshcat, options.html)
+    _summarize(record, options, console)
+    return INTERRUPTED if record.end == "interrupted" else 0
+
+
+def _run_live(
+    scenario: Scenario,
+    options: SearchOptions,
+    narrator: _Narrator,
+    console: Console,
+) -> int:
+    if options.html is not None:
+        raise ScenarioError(
+            "--html records a search from end to end: leave out --meshcat"
+        )
+    meshcat = start_meshcat()
+    console.print(
+        f"open {meshcat.web_url()} and press run, step or new heap; "
+        "Ctrl-C here ends it"
+    )
+    session = InteractiveSearch(scenario, meshcat, observers=(narrator,))
+    session.new_heap(scenario.seed)
+    look_at_bin(meshcat)
+    session.loop()
+    record = session.record
+    if record is not None:
+        if options.json is not None:
+            write_record(record, options.json)
+        _summarize(record, options, console)
+    return 0
+
+
+def _drop(scenario: Scenario, console: Console) -> Heap:
+    count = scenario.scene.num_objects
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    ) as bars:
+        task = bars.add_task(f"dropping {count} objects", total=1.0)
+        heap = make_heap(
+            scenario,
+            progress=lambda share: bars.update(task, completed=share),
+        )
+    console.print(
+        f"heap of seed {heap.seed}: {heap.target.name} under "
+        f"{len(heap.objects)} objects",
+        highlight=False,
+    )
+    return heap
+
+
+def _summarize(
+    record: SearchRecord, options: SearchOptions, console: Console
+) -> None:
+    table = Table(title=f"{record.policy} on seed {record.seed}")
+    for column in ("end", "actions", "hidden at the start", "support"):
+        table.add_column(column)
+    start = record.start.get("target_visible_fraction", 0.0)
+    supports = [a.support_before for a in record.actions]
+    if record.actions and record.actions[-1].support_after >= 0:
+        supports.append(record.actions[-1].support_after)
+    table.add_row(
+        record.end or "not ended",
+        f"{record.num_actions} of {record.horizon}",
+        "wholly" if start == 0 else f"{1 - start:.0%}",
+        " → ".join(map(str, supports)),
+    )
+    console.print(table)
+    for path in (options.json, options.html):
+        if path is not None and path.exists():
+            console.print(f"wrote {path}", highlight=False)

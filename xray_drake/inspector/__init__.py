@@ -1,0 +1,1 @@
+"""Inspecting searches in Meshcat."""

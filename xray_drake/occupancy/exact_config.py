@@ -1,0 +1,44 @@
+"""The numbers of exact inference."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class ExactInferenceConfig:
+    """Numbers of ``ExactInference``."""
+
+    # Orientations over the full turn; a silhouette that repeats itself within
+    # the turn is searched once per distinct orientation.
+    rotations: int = 32
+    # Where the target is seen, a fraction of a pixel counts: there, the least
+    # multiple of that number for which no point of the target moves farther
+    # than this from one orientation to the next, m.
+    seen_step: float = 0.003
+    # Translations: pitch of the lattice on the floor, m. A pixel covers 1.25
+    # to 1.7 mm of the floor.
+    cell: float = 0.00127
+    # Inside of the bin floor: x low, x high, y low, y high, m.
+    floor: list[float] = field(
+        default_factory=lambda: [-0.25, 0.25, -0.20, 0.20]
+    )
+    # How far a candidate may reach beyond the floor, m.
+    floor_tolerance: float = 0.002
+    # A surface hides what is farther than it by more than this, m.
+    depth_tolerance: float = 0.0001
+    # A target that is not seen may show this share of its silhouette.
+    blank_tolerance: float = 0.02
+    # A candidate of a target that is seen reaches this share of the best IoU.
+    accept_iou: float = 0.9
+    # If the best IoU is lower, the target is tilted, and coverage decides.
+    trusted_iou: float = 0.75
+    # So it does if less than this share of the silhouette is seen.
+    fragment_share: float = 0.2
+    # Coverage: candidates cover this share of the best-covered part of the
+    # observed mask, and of those, none
+    accept_coverage: float = 0.9
+    # shows beyond the mask more than the one that shows least does, plus this
+    # share of its silhouette.
+    accept_spill: float = 0.1
+    # A surface lower than this (and than half the target's thickness) is the
+    # floor, m: where it shows, the target is not.
+    floor_height: float = 0.002
