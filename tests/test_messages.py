@@ -73,8 +73,7 @@ def test_arrays_are_taken_over_as_they_were(
     kept = getattr(message, field)
     assert kept[0, 0] == 1
     assert kept.dtype == dtype
-    source.setflags(write=True)  # the sender's own array stays writable
-    assert source.flags.writeable
+    assert source.flags.writeable  # the sender may go on using it
 
 
 def test_defaults_mean_nothing() -> None:
@@ -99,7 +98,7 @@ def test_areas_and_masks_of_instances() -> None:
     assert masks.areas().tolist() == [1, 0, 3, 0]
     np.testing.assert_array_equal(masks.mask("c"), labels == 2)
     assert not masks.mask("hidden").any()
-    with pytest.raises(ValueError, match="not in tuple"):
+    with pytest.raises(ValueError):
         masks.mask("nobody")
 
 

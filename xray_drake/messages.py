@@ -22,7 +22,7 @@ class Message:
 
 
 def _frozen_array(message: Message, name: str, dtype: type) -> None:
-    array = np.array(getattr(message, name), dtype=dtype)
+    array: np.ndarray = np.array(getattr(message, name), dtype=dtype)
     array.setflags(write=False)
     object.__setattr__(message, name, array)
 

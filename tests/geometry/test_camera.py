@@ -121,9 +121,9 @@ def test_homography_is_the_projection_of_a_plane(
 ) -> None:
     xy = np.random.default_rng(seed).uniform(-0.2, 0.2, (20, 2))
     p_W = np.column_stack([xy, np.full(20, height)])
-    mapped = np.column_stack([xy, np.ones(20)]) @ camera.plane_homography(
-        height
-    ).T
+    mapped = (
+        np.column_stack([xy, np.ones(20)]) @ camera.plane_homography(height).T
+    )
     expected = camera.project(p_W)
     np.testing.assert_allclose(mapped[:, 2], expected[:, 2], rtol=1e-9)
     np.testing.assert_allclose(

@@ -30,9 +30,7 @@ def test_half_the_least_side_of_a_box_however_it_lies(
 def test_a_tetrahedron_from_a_face_to_the_opposite_vertex() -> None:
     edge = np.sqrt(2.0)
     vertices = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]) * 1.0
-    assert half_thickness(vertices) == pytest.approx(
-        edge * np.sqrt(2 / 3) / 2
-    )
+    assert half_thickness(vertices) == pytest.approx(edge * np.sqrt(2 / 3) / 2)
 
 
 def test_points_inside_do_not_matter() -> None:

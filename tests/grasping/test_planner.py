@@ -179,8 +179,11 @@ def test_a_cup_cannot_hold_more_than_its_vacuum():
 )
 def test_what_a_displaced_jaw_meets(planner, shift, reason):
     poses = {"flat": at(0, 0, 0.0025)}
-    grasp = planner.plan("flat", poses)
-    X_WG = grasp.X_WG.copy()
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    down[2, 3] = 0.0035
+    grasp = Grasp(GraspKind.JAW, "flat", down, width=0.021, quality=1.0)
+    assert nominal(planner, grasp, poses).quality > 0
+    X_WG = down.copy()
     X_WG[:3, 3] += shift
     judged = nominal(planner, grasp, poses, X_WG_perturbed=X_WG)
     assert judged.quality == 0

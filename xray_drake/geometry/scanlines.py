@@ -62,15 +62,27 @@ def convex_spans(outlines: np.ndarray, shape: tuple[int, int]) -> Spans:
     count = max(int((last - first).max(initial=0)) + 1, 1)
     rows = first[:, None] + np.arange(count)
 
-    a = outlines[:, None]
-    step = np.roll(outlines, -1, axis=1)[:, None] - a
+    # A row of a convex polygon ends where it first meets a side's line.
+    left = np.full(rows.shape, -np.inf)
+    right = np.full(rows.shape, np.inf)
+    following = np.roll(outlines, -1, axis=1)
+    steps = following - outlines
+    x, y = outlines[..., 0], outlines[..., 1]
+    turn = np.sign((x * following[..., 1] - y * following[..., 0]).sum(axis=1))
+    rising = steps[..., 1] * turn[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (rows[..., None] - a[..., 1]) / step[..., 1]
-        crossing = a[..., 0] + share * step[..., 0]
-    crosses = (share >= 0) & (share <= 1)
-    left = np.where(crosses, crossing, np.inf).min(axis=2)
-    right = np.where(crosses, crossing, -np.inf).max(axis=2)
-    inside = (left <= right) & (rows >= 0) & (rows < height)
+        slopes = steps[..., 0] / steps[..., 1]
+        offsets = x - slopes * y
+    level = steps[..., 1] == 0
+    slopes[level], offsets[level] = 0.0, 0.0
+    for k in range(outlines.shape[1]):
+        line = offsets[:, k, None] + slopes[:, k, None] * rows
+        on_right = rising[:, k] > 0
+        on_left = rising[:, k] < 0
+        np.minimum(right, line, out=right, where=on_right[:, None])
+        np.maximum(left, line, out=left, where=on_left[:, None])
+    inside = (left <= right) & (rows <= last[:, None])
+    inside &= (rows >= 0) & (rows < height)
     left, right = np.where(inside, left, 0.0), np.where(inside, right, -1.0)
     starts = np.ceil(left).clip(0, width).astype(int)
     ends = (np.floor(right) + 1).clip(0, width).astype(int)

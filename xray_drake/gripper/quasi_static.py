@@ -39,6 +39,7 @@ from xray_drake.scene.plant import (
     inside_bin,
 )
 from xray_drake.scene.rest import RestTest, box_corners
+from xray_drake.seeding import stream
 
 LIFT_CLEARANCE = 0.05
 """An object is lifted clear of the bin when it is this far over the walls, m
@@ -104,7 +105,8 @@ _HOLDING = (_Phase.LIFT, _Phase.HOLD, _Phase.CARRY, _Phase.LOWER)
 @dataclass(frozen=True, eq=False)
 class _Motion(Message):
     """The gripper's state. ``segment`` moves the held object's centre of mass
-    frame while it holds one, else the grasp frame."""
+    frame while it holds one, else the grasp frame.
+    """
 
     phase: _Phase
     segment: Segment
@@ -394,7 +396,7 @@ class QuasiStaticGripper(LeafSystem):
         self, motion: _Motion, poses: dict[str, np.ndarray], time: float
     ) -> _Motion:
         action = motion.action
-        rng = np.random.default_rng([self._seed, action.number])
+        rng = stream(self._seed, "execution", action.number)
         X_WG, friction = perturb(action.grasp, rng, self._config.perturbation)
         judged = self._judge.judge(
             action.grasp, poses, X_WG_perturbed=X_WG, friction=friction

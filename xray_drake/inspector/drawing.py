@@ -1,5 +1,6 @@
 """Draws a search into Meshcat while it goes on."""
 
+
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
 

@@ -277,8 +277,8 @@ def _group_columns(
     labels = distance.argmin(axis=1)[labels]
     groups = [
         ColumnGroup(
-            low=float(np.median(low[labels == k])),
-            high=float(np.median(high[labels == k])),
+            low=float(np.quantile(low[labels == k], 0.75)),
+            high=float(np.quantile(high[labels == k], 0.25)),
         )
         for k in range(len(large))
     ]

@@ -25,7 +25,7 @@ from xray_drake.occupancy.spectra import (
 _SLACK = 0.05
 """Candidates this close to acceptance are drawn once more, exactly."""
 
-_EXACT_WORK = 1_500_000
+_EXACT_WORK = 1_000_000
 """Rows times corners of all of them up to which that is done: where more are
 near, none decides alone."""
 

@@ -28,6 +28,7 @@ from xray_drake.messages import (
 )
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.ranking import Ranking, SearchView, candidates, order
+from xray_drake.seeding import stream
 
 
 class Planner(Protocol):
@@ -171,7 +172,7 @@ class SearchPolicy(LeafSystem):
         ranked = order(
             view,
             self._ranking,
-            np.random.default_rng([self._seed, number]),
+            stream(self._seed, "ranking", number),
             target=target if self._target_first else "",
         )
         ordered = clock()

@@ -3,6 +3,7 @@
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import (
+    LightParameter,
     MakeRenderEngineVtk,
     RenderEngineVtkParams,
     SceneGraph,
@@ -59,10 +60,28 @@ def add_renderer(scene_graph: SceneGraph, config: CameraConfig) -> None:
                 RenderEngineVtkParams(
                     default_clear_color=np.array(
                         [color.r(), color.g(), color.b()]
-                    )
+                    ),
+                    lights=_lights(),
                 )
             ),
         )
+
+
+def _lights() -> list[LightParameter]:
+    """A headlight alone leaves the bin's walls black."""
+    slanted = [
+        LightParameter(
+            type="directional",
+            frame="world",
+            direction=[x, y, -1.0],
+            intensity=0.28,
+        )
+        for x, y in ((0.8, 0.5), (-0.8, 0.5), (0.0, -0.9))
+    ]
+    return [
+        LightParameter(type="directional", frame="camera", intensity=0.4),
+        *slanted,
+    ]
 
 
 def add_camera(

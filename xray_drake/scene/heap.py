@@ -24,6 +24,7 @@ from xray_drake.scene.plant import (
     inside_bin,
 )
 from xray_drake.scene.rest import RestTest, box_corners
+from xray_drake.seeding import stream
 
 _logger = logging.getLogger(__name__)
 
@@ -135,7 +136,7 @@ def drop_heap(
     if len(set(names)) != len(names):
         raise ValueError(f"objects of a heap need distinct names: {names}")
     for attempt in range(1, config.max_attempts + 1):
-        rng = np.random.default_rng([seed, attempt])
+        rng = stream(seed, "heap", attempt)
         try:
             return _Drop(
                 target, objects, rng, config, plant_config, progress

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.grasping.planner import ModelGraspPlanner
@@ -147,12 +147,8 @@ def build_search_diagram(
     ):
         builder.Connect(source.GetOutputPort(output), target.GetInputPort(port))
     for system in (detector, segmenter, occupancy, policy, gripper):
-        for index in range(system.num_output_ports()):
-            port = system.get_output_port(index)
-            builder.ExportOutput(port, f"{system.get_name()}.{port.get_name()}")
-    for index in range(station.num_output_ports()):
-        port = station.get_output_port(index)
-        builder.ExportOutput(port, port.get_name())
+        _export_outputs(builder, system, f"{system.get_name()}.")
+    _export_outputs(builder, station, "")
 
     diagram = SearchDiagram()
     builder.BuildInto(diagram)
@@ -162,3 +158,11 @@ def build_search_diagram(
     diagram.station = parts
     diagram.meshcat = meshcat
     return diagram
+
+
+def _export_outputs(
+    builder: DiagramBuilder, system: System, prefix: str
+) -> None:
+    for index in range(system.num_output_ports()):
+        output = system.get_output_port(index)
+        builder.ExportOutput(output, f"{prefix}{output.get_name()}")

@@ -158,7 +158,8 @@ class SearchMonitor:
             self._target_pose(context),
             self._camera.Eval(context),
         )
-        visible = action.target_pixels / max(np.count_nonzero(amodal), 1)
+        pixels = max(int(np.count_nonzero(amodal)), 1)
+        visible = action.target_pixels / pixels
         record = self.record
         if not record.actions:
             record.start["target_visible_fraction"] = visible

@@ -4,17 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from xray_drake.scene.heap import Heap, drop_heap
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
+from xray_drake.seeding import stream
 from xray_drake.station.scenario import Scenario, ScenarioError
-
-_CHOICE = 1
-"""Tells the seed of the choice of objects from the seed of their fall."""
 
 
 def choose_objects(scenario: Scenario) -> list[ObjectModel]:
@@ -27,7 +23,7 @@ def choose_objects(scenario: Scenario) -> list[ObjectModel]:
         ScenarioError: a folder of meshes that cannot be used.
     """
     count = scenario.scene.num_objects
-    rng = np.random.default_rng([scenario.seed, _CHOICE])
+    rng = stream(scenario.seed, "objects")
     library: dict[str, ObjectModel] = {}
     for folder in scenario.scene.meshes:
         try:

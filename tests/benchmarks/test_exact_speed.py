@@ -1,0 +1,73 @@
+"""Time of exact inference for one 512×384 image, all orientations.
+
+    OMP_NUM_THREADS=1 pytest tests/benchmarks/test_exact_speed.py \
+        -o addopts="--import-mode=importlib" --benchmark-only
+"""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from tests.occupancy.brute_force import render
+from tests.occupancy.scenes import CAMERAS, lying, occluders
+from xray_drake.occupancy.exact import ExactInference
+from xray_drake.scene.targets import target_model
+
+NAMES = ["box_2to1", "box_10to1", "lid", "flute"]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads(), cv2.getNumThreads()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    yield
+    torch.set_num_threads(threads[0])
+    cv2.setNumThreads(threads[1])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_hidden_in_a_heap(benchmark: BenchmarkFixture, name: str) -> None:
+    rng = np.random.default_rng(0)
+    camera = CAMERAS["tilted"]
+    depth, _ = render(camera, occluders(rng, 14, np.zeros(2), 0.045, 0.017))
+    nothing = np.zeros(camera.shape, bool)
+    inference = ExactInference(target_model(name))
+    result = benchmark(inference.infer, depth, nothing, camera)
+    assert result.support_size() > 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_hidden_in_a_full_bin(benchmark: BenchmarkFixture, name: str) -> None:
+    camera = CAMERAS["nominal"]
+    depth = camera.plane_depth(0.05).astype(np.float32)
+    nothing = np.zeros(camera.shape, bool)
+    inference = ExactInference(target_model(name))
+    result = benchmark(inference.infer, depth, nothing, camera)
+    assert result.support_size() > 90_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("share", ["much", "fragment"])
+def test_partly_seen(
+    benchmark: BenchmarkFixture, name: str, share: str
+) -> None:
+    camera = CAMERAS["tilted"]
+    target = target_model(name)
+    mesh = lying(target.visual, 0.02, 0.01, 0.4)
+    length = target.extents[0]
+    rng = np.random.default_rng(1)
+    others = occluders(rng, 10, np.array([-0.02, 0.07]), 0.03, 0.017)
+    plate = others[0].copy()
+    plate.vertices = lying(target.visual, 0.02, 0.01, 0.4).bounding_box.vertices
+    plate.faces = mesh.bounding_box.faces
+    shift = 0.3 * length if share == "fragment" else 0.6 * length
+    plate.apply_translation([shift * np.cos(0.4), shift * np.sin(0.4), 0.02])
+    depth, label = render(camera, [mesh, plate, *others])
+    inference = ExactInference(target)
+    result = benchmark(inference.infer, depth, label == 0, camera)
+    assert result.support_size() >= np.count_nonzero(label == 0)

@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from xray_drake.drawing.colors import heat, overlay
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 5), (2, 3, 4)])
+def test_heat_adds_a_color_to_every_value(shape: tuple[int, ...]) -> None:
+    colors = heat(np.full(shape, 0.5))
+    assert colors.shape == (*shape, 3)
+    assert colors.min() >= 0.0
+    assert colors.max() <= 1.0
+
+
+def test_heat_is_a_map_of_rgb_whose_colors_tell_values_apart() -> None:
+    colors = heat(np.linspace(0, 1, 256))
+    low, high = colors[10], colors[-1]
+    # Cold is bluish, hot is reddish: swapped channels turn this round.
+    assert low[2] > low[0]
+    assert high[0] > high[2]
+    assert len(np.unique(colors, axis=0)) > 200
+
+
+def test_heat_clips_what_is_outside_zero_and_one() -> None:
+    np.testing.assert_array_equal(
+        heat(np.array([-1.0, 2.0])), heat(np.array([0.0, 1.0]))
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    image=npst.arrays(np.uint8, (4, 5, 3)),
+    values=npst.arrays(
+        np.float32, (4, 5), elements=st.sampled_from([0.0, 1e-6, 0.4, 1.0])
+    ),
+    strength=st.floats(0.0, 1.0),
+)
+def test_overlay_blends_where_values_are_above_zero_and_nowhere_else(
+    image: np.ndarray, values: np.ndarray, strength: float
+) -> None:
+    before = image.copy()
+    result = overlay(image, values, strength=strength)
+    assert result.dtype == np.uint8
+    np.testing.assert_array_equal(image, before)
+    zero = values == 0
+    np.testing.assert_array_equal(result[zero], image[zero])
+    blend = (1 - strength) * image + strength * 255 * heat(values)
+    assert np.abs(result[~zero] - blend[~zero]).max(initial=0) <= 0.5 + 1e-6
+
+
+def test_the_overlay_is_seen_by_default() -> None:
+    image = np.full((1, 2, 3), 128, np.uint8)
+    result = overlay(image, np.array([[0.0, 1.0]])).astype(int)
+    assert np.abs(result[0, 1] - 128).max() > 50

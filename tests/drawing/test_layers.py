@@ -1,0 +1,245 @@
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from xray_drake.drawing.colors import heat
+from xray_drake.drawing.layers import heat_layer, mask_outline, surface_depth
+from xray_drake.geometry.camera import PinholeCamera
+
+
+def camera_over_bin(
+    width: int = 24, height: int = 18, *, tilt: float = 0.0
+) -> PinholeCamera:
+    """Returns a camera 0.8 m up; tilted by ``tilt`` radians."""
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = Rotation.from_euler(
+        "xz", [np.pi - tilt, 0.3]
+    ).as_matrix() @ np.diag([1.0, 1.0, 1.0])
+    X_WC[:3, 3] = [0.02, -0.03, 0.8]
+    K = np.array([[40.0, 0, 11.0], [0, 44.0, 8.5], [0, 0, 1]])
+    return PinholeCamera(width, height, K, X_WC)
+
+
+CAMERAS = [camera_over_bin(), camera_over_bin(tilt=0.35)]
+
+
+def random_heap(camera: PinholeCamera, seed: int) -> np.ndarray:
+    """Returns the depth of the floor with boxes on it, pixels missing."""
+    rng = np.random.default_rng(seed)
+    depth = camera.plane_depth(0.0)
+    for _ in range(4):
+        u, v = rng.integers(camera.width), rng.integers(camera.height)
+        w, h = rng.integers(2, 9, 2)
+        depth[v : v + h, u : u + w] -= rng.uniform(0.01, 0.2)
+    for none in (0.0, np.inf, np.nan):
+        v, u = rng.integers(camera.height, size=9), rng.integers(
+            camera.width, size=9
+        )
+        depth[v, u] = none
+    return depth.astype(np.float32)
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=["straight", "tilted"])
+@pytest.mark.parametrize("reach", [0, 1, 3])
+def test_surface_depth_is_the_nearest_reading_within_reach(
+    camera: PinholeCamera, reach: int
+) -> None:
+    floor = camera.plane_depth(0.0)
+    for seed in range(3):
+        depth = random_heap(camera, seed)
+        result = surface_depth(depth, camera, reach=reach)
+        assert result.shape == camera.shape
+        gap = np.full(camera.shape, np.nan)
+        for v, u in np.ndindex(camera.shape):
+            nearest = np.inf
+            for j in range(max(v - reach, 0), v + reach + 1):
+                for i in range(max(u - reach, 0), u + reach + 1):
+                    if j >= camera.height or i >= camera.width:
+                        continue
+                    read = float(depth[j, i])
+                    if not np.isfinite(read) or read <= 0:
+                        read = np.inf
+                    nearest = min(nearest, read, floor[j, i])
+            gap[v, u] = nearest - result[v, u]
+        # In front of the surface everywhere, by the same few millimetres.
+        assert gap.min() > 0.001
+        assert gap.max() < 0.010
+        np.testing.assert_allclose(gap, gap[0, 0], atol=1e-6)
+
+
+def test_surface_depth_does_not_tear_where_there_is_no_reading() -> None:
+    camera = CAMERAS[0]
+    box = np.full(camera.shape, 0.7, np.float32)
+    for none in (0.0, np.inf, np.nan):
+        depth = box.copy()
+        depth[4, 5] = depth[9, 10:14] = none
+        np.testing.assert_allclose(
+            surface_depth(depth, camera), surface_depth(box, camera)
+        )
+    blind = np.zeros(camera.shape, np.float32)
+    surface = surface_depth(blind, camera, reach=0)
+    assert np.isfinite(surface).all()
+    heights = camera.unproject(surface)[..., 2]
+    assert heights.min() > 0.0
+    assert heights.max() < 0.010
+
+
+def test_surface_depth_ignores_readings_below_the_floor() -> None:
+    camera = CAMERAS[0]
+    floor = camera.plane_depth(0.0)
+    np.testing.assert_allclose(
+        surface_depth((floor + 0.5).astype(np.float32), camera),
+        surface_depth(floor.astype(np.float32), camera),
+        atol=1e-6,
+    )
+
+
+def triangles(
+    vertices: np.ndarray, faces: np.ndarray
+) -> list[tuple[tuple[float, ...], ...]]:
+    """Returns the corners of each triangle, sorted, for comparison."""
+    corners = vertices.T.round(9)[faces.T]
+    return sorted(
+        tuple(sorted(tuple(map(float, corner)) for corner in triangle))
+        for triangle in corners
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    step=st.sampled_from([1, 2, 3, 5]),
+    share=st.sampled_from([0.0, 0.5, 0.9, 1.0]),
+    camera=st.sampled_from(CAMERAS),
+)
+def test_heat_layer_has_two_triangles_on_each_tile_above_zero(
+    seed: int, step: int, share: float, camera: PinholeCamera
+) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.5, 0.8, camera.shape)
+    values = rng.uniform(0.1, 1.0, camera.shape)
+    values[rng.uniform(size=camera.shape) > share] = 0.0
+    vertices, faces, colors = heat_layer(values, depth, camera, step=step)
+
+    # Every vertex is a pixel's point on the surface, in its value's colour.
+    projected = camera.project(vertices.T)
+    pixels = np.rint(projected[:, :2]).astype(int)
+    np.testing.assert_allclose(projected[:, :2], pixels, atol=1e-6)
+    u, v = pixels.T
+    np.testing.assert_allclose(projected[:, 2], depth[v, u])
+    np.testing.assert_allclose(colors.T, heat(values[v, u]))
+    assert (values[v, u] > 0).all()
+    assert len(np.unique(pixels, axis=0)) == len(pixels)
+
+    # Tile by tile: its four corners are above 0, or nothing is drawn.
+    points = camera.unproject(depth)
+    count = 0
+    expected = set()
+    for j in range(0, camera.height - step, step):
+        for i in range(0, camera.width - step, step):
+            corners = [
+                (j, i),
+                (j, i + step),
+                (j + step, i + step),
+                (j + step, i),
+            ]
+            if all(values[corner] > 0 for corner in corners):
+                count += 1
+                expected |= {tuple(points[c].round(9)) for c in corners}
+    assert faces.shape == (3, 2 * count)
+    assert colors.shape == vertices.shape == (3, len(expected))
+    assert {tuple(p) for p in vertices.T.round(9)} == expected
+
+    # Together the triangles cover each tile once, and face the camera.
+    if count:
+        corners_C = projected[:, :2][faces.T]
+        a = corners_C[:, 1] - corners_C[:, 0]
+        b = corners_C[:, 2] - corners_C[:, 0]
+        areas = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+        np.testing.assert_allclose(areas, -(step**2) / 2, rtol=1e-6)
+        assert len(set(triangles(vertices, faces))) == 2 * count
+
+
+def test_a_blank_distribution_has_no_geometry() -> None:
+    camera = CAMERAS[0]
+    vertices, faces, colors = heat_layer(
+        np.zeros(camera.shape), np.full(camera.shape, 0.7), camera
+    )
+    assert vertices.shape == colors.shape == (3, 0)
+    assert faces.shape == (3, 0)
+
+
+def test_heat_layer_shows_the_whole_of_a_small_support() -> None:
+    camera = PinholeCamera(64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
+    values = np.zeros(camera.shape)
+    values[11:20, 21:38] = 1.0
+    vertices, _, _ = heat_layer(values, np.ones(camera.shape), camera)
+    u, v, _ = camera.project(vertices.T).T
+    # Within one tile of two pixels of the support's edge.
+    assert u.min() <= 23
+    assert u.max() >= 35
+    assert v.min() <= 13
+    assert v.max() >= 17
+
+
+def blobs(seed: int, shape: tuple[int, int]) -> np.ndarray:
+    """Returns a few blobs without holes."""
+    rng = np.random.default_rng(seed)
+    mask = np.zeros(shape, np.uint8)
+    for _ in range(3):
+        center = (int(rng.integers(shape[1])), int(rng.integers(shape[0])))
+        axes = (int(rng.integers(0, 6)), int(rng.integers(0, 5)))
+        turn = float(rng.uniform(0, 180))
+        cv2.ellipse(mask, center, axes, turn, 0, 360, 1, cv2.FILLED)
+    flooded = np.pad(1 - mask, 1, constant_values=1)
+    cv2.floodFill(flooded, None, (0, 0), 2)
+    return flooded[1:-1, 1:-1] != 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), camera=st.sampled_from(CAMERAS))
+def test_the_outline_encloses_the_mask(
+    seed: int, camera: PinholeCamera
+) -> None:
+    mask = blobs(seed, camera.shape)
+    depth = np.random.default_rng(seed).uniform(0.5, 0.8, camera.shape)
+    starts, ends = mask_outline(mask, depth, camera)
+    projected = np.stack([camera.project(p.T) for p in (starts, ends)])
+    pixels = np.rint(projected[..., :2]).astype(int)
+    np.testing.assert_allclose(projected[..., :2], pixels, atol=1e-6)
+    u, v = pixels[..., 0], pixels[..., 1]
+    # On the surface, on the mask, from pixel to neighbouring pixel.
+    np.testing.assert_allclose(projected[..., 2], depth[v, u])
+    assert mask[v, u].all()
+    assert np.abs(pixels[1] - pixels[0]).max(initial=0) <= 1
+    # Closed loops: what is left is entered as often.
+    assert sorted(map(tuple, pixels[0])) == sorted(map(tuple, pixels[1]))
+    # What the line has walked round is the mask: no way in from outside
+    # but through the line.
+    walls = np.zeros(camera.shape, np.uint8)
+    walls[v, u] = 1
+    outside = np.pad(walls, 1)
+    cv2.floodFill(outside, None, (0, 0), 2, flags=4)
+    np.testing.assert_array_equal(outside[1:-1, 1:-1] != 2, mask)
+
+
+def test_a_hole_has_no_outline_of_its_own() -> None:
+    camera = CAMERAS[0]
+    depth = np.full(camera.shape, 0.7)
+    disc = np.zeros(camera.shape, bool)
+    disc[3:14, 4:18] = True
+    ring = disc.copy()
+    ring[6:11, 8:14] = False
+    np.testing.assert_array_equal(
+        mask_outline(ring, depth, camera), mask_outline(disc, depth, camera)
+    )
+
+
+def test_a_blank_mask_has_no_outline() -> None:
+    camera = CAMERAS[0]
+    mask = np.zeros(camera.shape, bool)
+    outline = mask_outline(mask, np.full(camera.shape, 0.7), camera)
+    assert outline.shape == (2, 3, 0)

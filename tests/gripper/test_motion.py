@@ -1,0 +1,217 @@
+import copy
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from xray_drake.gripper.motion import Segment, straight, tracking_wrench
+
+
+def pose(rng: np.random.Generator) -> np.ndarray:
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    X[:3, 3] = rng.uniform(-1, 1, 3)
+    return X
+
+
+@st.composite
+def segments(draw: st.DrawFn) -> Segment:
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return Segment(
+        pose(rng),
+        pose(rng),
+        draw(st.floats(0, 100)),
+        draw(st.floats(0.1, 3)),
+    )
+
+
+@settings(deadline=None, max_examples=30)
+@given(segments(), st.floats(0, 2))
+def test_it_goes_from_rest_to_rest(segment: Segment, more: float) -> None:
+    first, last = segment.begin, segment.begin + segment.duration
+    for time, end in (
+        (first - more, segment.start),
+        (first, segment.start),
+        (last, segment.end),
+        (last + more, segment.end),
+    ):
+        X, v, a = segment.sample(time)
+        np.testing.assert_allclose(X, end, atol=1e-9)
+        np.testing.assert_allclose(v, 0, atol=1e-9)
+        np.testing.assert_allclose(a, 0, atol=1e-6 / segment.duration**2)
+
+
+@settings(deadline=None, max_examples=30)
+@given(segments(), st.floats(0.02, 0.98))
+def test_velocity_and_acceleration_are_derivatives(
+    segment: Segment, share: float
+) -> None:
+    time, h = segment.begin + share * segment.duration, 1e-4
+    before, now, after = (segment.sample(time + s * h) for s in (-1, 0, 1))
+    scale = 10 / segment.duration
+    np.testing.assert_allclose(
+        (after[0][:3, 3] - before[0][:3, 3]) / (2 * h),
+        now[1],
+        atol=1e-5 * scale**3,
+    )
+    np.testing.assert_allclose(
+        (after[1] - before[1]) / (2 * h), now[2], atol=1e-5 * scale**4
+    )
+
+
+@settings(deadline=None, max_examples=30)
+@given(segments(), st.floats(0, 1))
+def test_it_is_straight_and_turns_the_short_way(
+    segment: Segment, share: float
+) -> None:
+    X, _, _ = segment.sample(segment.begin + share * segment.duration)
+    R = X[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    step = segment.end[:3, 3] - segment.start[:3, 3]
+    done = X[:3, 3] - segment.start[:3, 3]
+    way = done @ step / (step @ step)
+    np.testing.assert_allclose(done, way * step, atol=1e-9)
+    whole = Rotation.from_matrix(segment.start[:3, :3].T @ segment.end[:3, :3])
+    part = Rotation.from_matrix(segment.start[:3, :3].T @ R)
+    np.testing.assert_allclose(
+        part.magnitude(), way * whole.magnitude(), atol=1e-6
+    )
+
+
+def test_when_it_is_over() -> None:
+    segment = Segment(np.eye(4), np.eye(4), 2.0, 0.5)
+    assert not segment.is_over(2.0)
+    assert not segment.is_over(2.499)
+    assert segment.is_over(2.5)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(0.001, 2), st.floats(0.05, 2), st.integers(0, 2**32 - 1))
+def test_a_straight_motion_keeps_to_its_speed(
+    distance: float, speed: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    start = pose(rng)
+    direction = rng.normal(size=3)
+    to = start[:3, 3] + distance * direction / np.linalg.norm(direction)
+    segment = straight(start, to, 1.0, speed=speed, shortest=0.2)
+    np.testing.assert_allclose(segment.end[:3, 3], to)
+    np.testing.assert_array_equal(segment.end[:3, :3], start[:3, :3])
+    assert segment.duration >= 0.2
+    times = segment.begin + np.linspace(0, segment.duration, 21)
+    fastest = max(np.linalg.norm(segment.sample(t)[1]) for t in times)
+    assert fastest <= speed * (1 + 1e-9)
+    if segment.duration > 0.2:
+        assert fastest == pytest.approx(speed)
+
+
+def test_no_way_to_go_takes_the_shortest_time() -> None:
+    segment = straight(np.eye(4), np.zeros(3), 0.0, speed=1.0, shortest=0.3)
+    assert segment.duration == 0.3
+    _, v, a = segment.sample(0.15)
+    assert not v.any()
+    assert not a.any()
+
+
+def test_a_segment_is_its_own_copy() -> None:
+    segment = straight(np.eye(4), np.ones(3), 0.0, speed=1.0)
+    assert copy.deepcopy(segment) is segment
+
+
+class Body:
+    """A free rigid body under gravity that the spring draws along."""
+
+    def __init__(self, mass: float, inertia: np.ndarray) -> None:
+        self.mass, self.inertia = mass, inertia
+        self.R = np.eye(3)
+        self.p, self.v, self.w = np.zeros(3), np.zeros(3), np.zeros(3)
+
+    def wrench(
+        self,
+        desired: tuple[np.ndarray, np.ndarray, np.ndarray],
+        frequency: float = 20.0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return tracking_wrench(
+            mass=self.mass,
+            inertia_W=self.R @ self.inertia @ self.R.T,
+            desired=desired,
+            R_WO=self.R,
+            p_WCom=self.p,
+            w_WO=self.w,
+            v_WCom=self.v,
+            frequency=frequency,
+        )
+
+    def step(
+        self, desired: tuple[np.ndarray, np.ndarray, np.ndarray], h: float
+    ) -> None:
+        torque, force = self.wrench(desired)
+        inertia_W = self.R @ self.inertia @ self.R.T
+        gyro = np.cross(self.w, inertia_W @ self.w)
+        self.v = self.v + h * (force / self.mass - [0, 0, 9.81])
+        self.w = self.w + h * np.linalg.solve(inertia_W, torque - gyro)
+        self.p = self.p + h * self.v
+        self.R = Rotation.from_rotvec(h * self.w).as_matrix() @ self.R
+
+
+def still(X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return X, np.zeros(3), np.zeros(3)
+
+
+@pytest.mark.parametrize("mass", [0.003, 0.4])
+def test_at_the_goal_the_wrench_only_bears_the_weight(mass: float) -> None:
+    body = Body(mass, 1e-4 * mass * np.diag([1.0, 2.0, 2.5]))
+    torque, force = body.wrench(still(np.eye(4)))
+    np.testing.assert_array_equal(torque, 0)
+    np.testing.assert_allclose(force, [0, 0, 9.81 * mass])
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_a_light_body_and_a_heavy_one_are_accelerated_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    desired = pose(rng), rng.normal(size=3), rng.normal(size=3)
+    shape = np.diag([1.0, 2.0, 2.5]) * 1e-4
+    w, v = rng.normal(size=3), rng.normal(size=3)
+    results = []
+    for mass in (0.003, 0.4):
+        body = Body(mass, mass * shape)
+        body.w, body.v = w, v
+        torque, force = body.wrench(desired)
+        results.append((torque / mass, force / mass))
+    np.testing.assert_allclose(results[0][0], results[1][0], rtol=1e-9)
+    np.testing.assert_allclose(results[0][1], results[1][1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("mass", [0.003, 0.4])
+def test_a_body_follows_a_lift_and_comes_to_rest(mass: float) -> None:
+    body = Body(mass, 1e-4 * mass * np.diag([1.0, 2.0, 2.5]))
+    body.R = Rotation.from_rotvec([0.3, -0.2, 0.4]).as_matrix()
+    segment = straight(np.eye(4), np.array([0.0, 0.1, 0.2]), 0.0, speed=0.8)
+    lag = 0.0
+    for i in range(300):
+        desired = segment.sample(0.005 * i)
+        lag = max(lag, float(np.linalg.norm(desired[0][:3, 3] - body.p)))
+        body.step(desired, 0.005)
+    assert lag < 0.01
+    np.testing.assert_allclose(body.p, [0, 0.1, 0.2], atol=1e-4)
+    np.testing.assert_allclose(body.R, np.eye(3), atol=1e-3)
+    np.testing.assert_allclose(body.v, 0, atol=1e-3)
+
+
+def test_the_spring_does_not_swing() -> None:
+    """It is critically damped: from rest it never overshoots."""
+    body = Body(0.1, 1e-5 * np.eye(3))
+    X = np.eye(4)
+    X[0, 3] = 0.01
+    way = []
+    for _ in range(200):
+        body.step(still(X), 0.005)
+        way.append(body.p[0])
+    assert max(way) <= 0.01 + 1e-9
+    assert way[-1] == pytest.approx(0.01, abs=1e-5)
+    # After 1/ω, 1 − 2/e of the way.
+    assert way[9] == pytest.approx(0.01 * (1 - 2 / np.e), rel=0.15)

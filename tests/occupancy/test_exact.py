@@ -1,0 +1,371 @@
+"""Exact inference against brute force, and laws it must keep."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.occupancy.brute_force import BruteForce, render
+from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.occupancy.exact import ExactInference, ExactInferenceConfig
+from xray_drake.scene.object_model import object_from_pieces
+from xray_drake.scene.targets import target_model
+
+NOTHING = np.zeros((384, 512), dtype=bool)
+# Fewer orientations than usual, for the sake of the brute force.
+COARSE = ExactInferenceConfig(rotations=16, seen_step=0.006)
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return np.count_nonzero(a & b) / np.count_nonzero(a | b)
+
+
+def amodal_mask(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:
+    return project_mesh_mask(mesh.vertices, mesh.faces, np.eye(4), camera)
+
+
+def lattice_poses(
+    inference: ExactInference, center: np.ndarray, reach: float
+) -> np.ndarray:
+    """Returns the (n, 3) candidates of a hidden target around a place."""
+    cell = inference.config.cell
+    steps = np.arange(-int(reach / cell), int(reach / cell) + 1)
+    middle = np.rint(center / cell)
+    x, y, angle = np.meshgrid(
+        (steps + middle[0]) * cell,
+        (steps + middle[1]) * cell,
+        inference.angles,
+        indexing="ij",
+    )
+    return np.stack([x, y, angle], axis=-1).reshape(-1, 3)
+
+
+def pixel_poses(
+    inference: ExactInference,
+    mask: np.ndarray,
+    camera: PinholeCamera,
+    extents: np.ndarray,
+) -> np.ndarray:
+    """Returns the (n, 3) candidates of a target that is seen."""
+    v, u = np.nonzero(mask)
+    reach = int(0.25 * np.hypot(*extents[:2]) / 0.00125)
+    u, v = np.meshgrid(
+        np.arange(u.min() - reach, u.max() + reach + 1),
+        np.arange(v.min() - reach, v.max() + reach + 1),
+    )
+    pixels = np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
+    ray = np.linalg.inv(camera.plane_homography(extents[2] / 2)) @ pixels
+    xy = (ray[:2] / ray[2]).T
+    return np.concatenate(
+        [
+            np.column_stack([xy, np.full(len(xy), angle)])
+            for angle in inference.seen_angles
+        ]
+    )
+
+
+AGREEMENT = [
+    ("box_2to1", "nominal", 1),
+    ("box_2to1", "tilted", 0),
+    ("box_2to1", "high", 1),
+    ("box_5to1", "rolled", 1),
+    ("box_10to1", "low", 1),
+    ("lid", "tilted", 1),
+    ("flute", "low", 1),
+]
+
+
+@pytest.mark.parametrize(("name", "view", "seed"), AGREEMENT)
+def test_hidden_support_agrees_with_brute_force(
+    name: str, view: str, seed: int
+) -> None:
+    target = target_model(name)
+    camera = CAMERAS[view]
+    rng = np.random.default_rng(seed)
+    center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
+    angle = rng.uniform(0, np.pi)
+    plate = cover(target.visual, *center, angle)
+    height = target.extents[2] + 0.002
+    others = occluders(rng, 2, center, 0.02, height)
+    depth, _ = render(camera, [plate, *others])
+    inference = ExactInference(target, COARSE)
+    result = inference.infer(depth, NOTHING, camera)
+
+    poses = lattice_poses(inference, center, 0.06)
+    truth = BruteForce(target.visual, COARSE, depth, NOTHING, camera)
+    expected = truth.infer(poses)
+    # All that is accepted is among the poses the reference was given.
+    assert np.count_nonzero(expected) > 500
+    assert iou(result.support(), expected > 0) >= 0.98
+    either = result.support() | (expected > 0)
+    assert np.abs(result.data - expected)[either].mean() <= 0.03
+
+
+@pytest.mark.parametrize(("name", "view", "seed"), AGREEMENT)
+def test_seen_support_agrees_with_brute_force(
+    name: str, view: str, seed: int
+) -> None:
+    target = target_model(name)
+    camera = CAMERAS[view]
+    rng = np.random.default_rng(seed)
+    center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
+    angle = rng.uniform(0, 2 * np.pi)
+    mesh = lying(target.visual, *center, angle)
+    # One box over an end leaves some 30 to 60 % to be seen.
+    side = 0.5 * target.extents[0]
+    block = trimesh.creation.box([side, 0.08, 0.03])
+    X_WB = trimesh.transformations.rotation_matrix(angle + 0.3, [0, 0, 1])
+    along = np.array([np.cos(angle), np.sin(angle)])
+    X_WB[:2, 3] = center + 0.5 * side * along
+    X_WB[2, 3] = 0.035
+    block.apply_transform(X_WB)
+    depth, label = render(camera, [mesh, block])
+    mask = label == 0
+    seen = np.count_nonzero(mask) / np.count_nonzero(amodal_mask(mesh, camera))
+    assert 0.25 < seen < 0.7
+    inference = ExactInference(target, COARSE)
+    result = inference.infer(depth, mask, camera)
+
+    poses = pixel_poses(inference, mask, camera, target.extents)
+    truth = BruteForce(target.visual, COARSE, depth, mask, camera)
+    expected = truth.infer(poses)
+    assert iou(result.support(), expected > 0) >= 0.98
+    assert np.count_nonzero(result.support() & mask) >= 0.95 * mask.sum()
+
+
+@pytest.fixture(scope="module", params=["box_2to1", "box_10to1", "lid"])
+def any_inference(request: pytest.FixtureRequest) -> tuple:
+    target = target_model(request.param)
+    return target, ExactInference(target)
+
+
+@pytest.mark.parametrize("view", ["nominal", "tilted", "low"])
+def test_fully_visible_target_is_where_it_is_seen(
+    any_inference: tuple, view: str
+) -> None:
+    target, inference = any_inference
+    mesh = lying(target.visual, 0.04, -0.03, 0.37)
+    depth, label = render(CAMERAS[view], [mesh])
+    result = inference.infer(depth, label == 0, CAMERAS[view])
+    assert iou(result.support(), label == 0) >= 0.9
+
+
+def test_blank_scene_and_hidden_target_is_empty(any_inference: tuple) -> None:
+    _, inference = any_inference
+    depth, _ = render(CAMERAS["nominal"], [])
+    result = inference.infer(depth, NOTHING, CAMERAS["nominal"])
+    assert not result.data.any()
+    assert result.method == "exact"
+
+
+def test_too_small_a_hiding_place_is_empty(any_inference: tuple) -> None:
+    _, inference = any_inference
+    block = trimesh.creation.box([0.02, 0.02, 0.04])
+    block.apply_translation([0.03, 0.02, 0.02])
+    depth, _ = render(CAMERAS["nominal"], [block])
+    result = inference.infer(depth, NOTHING, CAMERAS["nominal"])
+    assert not result.data.any()
+
+
+def test_pixels_without_a_reading_hide_nothing() -> None:
+    inference = ExactInference(target_model("box_2to1"))
+    camera = CAMERAS["nominal"]
+    plate = trimesh.creation.box([0.1, 0.1, 0.02])
+    plate.apply_translation([0, 0, 0.02])
+    depth, label = render(camera, [plate])
+    assert inference.infer(depth, NOTHING, camera).support_size() > 1000
+    for nothing in (0.0, np.nan, np.inf):
+        blind = np.where(label == 0, np.float32(nothing), depth)
+        assert not inference.infer(blind, NOTHING, camera).data.any()
+
+
+def test_candidates_keep_within_the_bin() -> None:
+    target = target_model("box_2to1")
+    inference = ExactInference(target, floor=((-0.1, 0.1), (-0.05, 0.05)))
+    camera = CAMERAS["tilted"]
+    depth = camera.plane_depth(0.05).astype(np.float32)
+    support = inference.infer(depth, NOTHING, camera).support()
+    ground = camera.unproject(camera.plane_depth(0.0))
+    inside = (np.abs(ground[..., 0]) < 0.1) & (np.abs(ground[..., 1]) < 0.05)
+    nearly = (np.abs(ground[..., 0]) < 0.103) & (np.abs(ground[..., 1]) < 0.053)
+    assert not (support & ~nearly).any()
+    assert np.count_nonzero(support & inside) >= 0.99 * inside.sum()
+
+
+def test_candidates_keep_within_the_image() -> None:
+    """A camera that sees half the bin: all it sees may hide the target."""
+    inference = ExactInference(target_model("box_2to1"))
+    camera = make_camera(focal_length=1100)
+    depth = camera.plane_depth(0.05).astype(np.float32)
+    data = inference.infer(depth, NOTHING, camera).data
+    middle, edge = data[192, 256], data[192, 1]
+    assert 0 < edge < 0.3 * middle
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_another_occluder_never_shrinks_a_hidden_support(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    camera = CAMERAS["low"]
+    inference = _inference("box_2to1")
+    scene = occluders(rng, 6, np.zeros(2), 0.05, 0.008)
+    before, _ = render(camera, scene[:-1])
+    after, _ = render(camera, scene)
+    small = inference.infer(before, NOTHING, camera).support()
+    large = inference.infer(after, NOTHING, camera).support()
+    assert not (small & ~large).any()
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["box_1to1", "box_2to1", "box_10to1", "lid", "flute"]),
+    st.sampled_from(sorted(CAMERAS)),
+)
+def test_support_holds_a_hidden_target(seed: int, name: str, view: str) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = target_model(name).visual
+    x, y = rng.uniform([-0.15, -0.1], [0.15, 0.1])
+    angle = rng.uniform(0, 2 * np.pi)
+    camera = CAMERAS[view]
+    truth = amodal_mask(lying(mesh, x, y, angle), camera)
+    scene = [
+        cover(mesh, x, y, angle),
+        *occluders(rng, 3, np.array([x, y]), 0.03, mesh.extents[2] + 0.002),
+    ]
+    depth, _ = render(camera, scene)
+    support = _inference(name).infer(depth, NOTHING, camera).support()
+    assert np.count_nonzero(support & truth) >= 0.99 * truth.sum()
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["box_2to1", "box_5to1", "lid", "flute"]),
+)
+def test_support_holds_a_target_that_is_partly_seen(
+    seed: int, name: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    camera = CAMERAS["rolled"]
+    mesh = lying(
+        target_model(name).visual,
+        *rng.uniform([-0.15, -0.1], [0.15, 0.1]),
+        rng.uniform(0, 2 * np.pi),
+    )
+    truth = amodal_mask(mesh, camera)
+    height = mesh.extents[2] + 0.001
+    center = mesh.bounds.mean(axis=0)[:2]
+    depth, label = render(
+        camera, [mesh, *occluders(rng, 3, center, 0.03, height)]
+    )
+    support = _inference(name).infer(depth, label == 0, camera).support()
+    assert np.count_nonzero(support & truth) >= 0.9 * truth.sum()
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
+    seen: bool,
+) -> None:
+    """The floor is a rectangle, so it has to turn too."""
+    target = target_model("box_2to1")
+    camera = CAMERAS["low"]
+    quarter = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    turned_camera = PinholeCamera(
+        camera.width, camera.height, camera.intrinsics, quarter @ camera.X_WC
+    )
+    rng = np.random.default_rng(5)
+    scene = [
+        lying(target.visual, 0.17, 0.02, 0.4),
+        *occluders(rng, 8, np.array([0.21, 0.05]), 0.02, 0.008),
+    ]
+    if not seen:
+        scene = scene[1:]
+    turned_scene = [mesh.copy().apply_transform(quarter) for mesh in scene]
+    floors = ((-0.25, 0.25), (-0.20, 0.20)), ((-0.20, 0.20), (-0.25, 0.25))
+    supports = []
+    for floor, meshes, view in zip(
+        floors, (scene, turned_scene), (camera, turned_camera), strict=True
+    ):
+        depth, label = render(view, meshes)
+        mask = (label == 0) & seen
+        assert mask.any() == seen
+        inference = ExactInference(target, floor=floor)
+        supports.append(inference.infer(depth, mask, view).support())
+    assert iou(*supports) >= 0.98
+
+
+def test_a_tilted_target_is_held_by_coverage() -> None:
+    target = target_model("lid")
+    camera = CAMERAS["nominal"]
+    tilt = trimesh.transformations.rotation_matrix(np.deg2rad(50), [1, 0, 0])
+    mesh = lying(target.visual.copy().apply_transform(tilt), 0.05, 0.02, 0.3)
+    depth, label = render(camera, [mesh])
+    support = ExactInference(target).infer(depth, label == 0, camera).support()
+    truth = label == 0
+    assert np.count_nonzero(support & truth) >= 0.95 * truth.sum()
+
+
+def test_mask_outside_the_floor_is_ignored() -> None:
+    inference = ExactInference(target_model("box_2to1"))
+    camera = CAMERAS["nominal"]
+    plate = trimesh.creation.box([0.1, 0.1, 0.02])
+    plate.apply_translation([0, 0, 0.02])
+    depth, _ = render(camera, [plate])
+    outside = NOTHING.copy()
+    outside[2:12, 3:20] = True
+    ignored = inference.infer(depth, outside, camera)
+    expected = inference.infer(depth, NOTHING, camera)
+    np.testing.assert_array_equal(ignored.data, expected.data)
+    assert ignored.support_size() > 1000
+
+
+def test_target_with_a_hole() -> None:
+    """A ring whose hole shows the floor, hidden and seen."""
+    ring = trimesh.creation.annulus(r_min=0.018, r_max=0.03, height=0.006)
+    pieces = [ring]
+    target = object_from_pieces("ring", pieces, density=600.0, recenter=False)
+    inference = ExactInference(target)
+    assert len(inference.angles) < 32
+    camera = CAMERAS["tilted"]
+    mesh = lying(target.visual, 0.03, 0.02, 0.0)
+    depth, label = render(camera, [mesh])
+    result = inference.infer(depth, label == 0, camera)
+    assert iou(result.support(), label == 0) >= 0.9
+    plate = cover(target.visual, 0.03, 0.02, 0.0)
+    depth, _ = render(camera, [plate])
+    hidden = inference.infer(depth, NOTHING, camera).support()
+    assert np.count_nonzero(hidden & (label == 0)) >= 0.99 * (label == 0).sum()
+
+
+def test_wrong_input_is_named() -> None:
+    inference = ExactInference(target_model("box_2to1"))
+    camera = CAMERAS["nominal"]
+    depth, _ = render(camera, [])
+    with pytest.raises(ValueError, match=r"target mask is \(2, 3\)"):
+        inference.infer(depth, np.zeros((2, 3), bool), camera)
+    with pytest.raises(ValueError, match=r"depth image is \(4, 4\)"):
+        inference.infer(depth[:4, :4], NOTHING, camera)
+    for nothing in (0.0, np.nan, np.inf):
+        blind = np.full_like(depth, nothing)
+        with pytest.raises(ValueError, match="no reading at all"):
+            inference.infer(blind, NOTHING, camera)
+    X_WC = camera.X_WC.copy()
+    X_WC[2, 3] = 0.001
+    low = PinholeCamera(512, 384, camera.intrinsics, X_WC)
+    with pytest.raises(ValueError, match="above the target"):
+        inference.infer(depth, NOTHING, low)
+    with pytest.raises(ValueError, match="at least one rotation"):
+        ExactInference(target_model("box_2to1"), rotations=0)
+
+
+_INFERENCES: dict[str, ExactInference] = {}
+
+
+def _inference(name: str) -> ExactInference:
+    if name not in _INFERENCES:
+        _INFERENCES[name] = ExactInference(target_model(name))
+    return _INFERENCES[name]

@@ -1,0 +1,196 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xray_drake.messages import InstanceMasks, OccupancyDistribution
+from xray_drake.policy.ranking import (
+    RANKINGS,
+    SearchView,
+    candidates,
+    largest,
+    order,
+    random,
+    xray,
+)
+
+SHAPE = (12, 16)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def view(
+    labels: np.ndarray,
+    rho: np.ndarray | None = None,
+    *,
+    threshold: float = 0.0,
+    names: tuple[str, ...] = ("a", "b", "c", "d"),
+) -> SearchView:
+    rho = np.zeros(np.shape(labels)) if rho is None else rho
+    return SearchView(
+        OccupancyDistribution(rho, support_threshold=threshold),
+        InstanceMasks(labels, names),
+        names,
+    )
+
+
+def random_view(seed: int, threshold: float) -> SearchView:
+    generator = rng(seed)
+    labels = generator.integers(-1, 4, SHAPE)
+    rho = generator.random(SHAPE) * (generator.random(SHAPE) < 0.3)
+    return view(labels, rho, threshold=threshold)
+
+
+def names_of(ranked: list[tuple[str, float]]) -> list[str]:
+    return [name for name, _ in ranked]
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.4]))
+def test_xray_sums_mask_times_distribution(seed: int, threshold: float) -> None:
+    seen = random_view(seed, threshold)
+    expected = dict.fromkeys(seen.candidates, 0.0)
+    rho = seen.occupancy.data
+    for row in range(SHAPE[0]):
+        for column in range(SHAPE[1]):
+            label = seen.instances.labels[row, column]
+            if label >= 0 and rho[row, column] > threshold:
+                name = seen.instances.names[label]
+                expected[name] += float(rho[row, column])
+    scores = xray(seen, rng())[:, 0]
+    np.testing.assert_allclose(scores, list(expected.values()), rtol=1e-12)
+    assert names_of(order(seen, xray, rng())) == sorted(
+        expected, key=lambda name: -expected[name]
+    )
+
+
+def test_xray_scores_only_the_candidates_in_their_order() -> None:
+    seen = random_view(3, 0.0)
+    full = xray(seen, rng())
+    some = replace(seen, candidates=("d", "b"))
+    np.testing.assert_array_equal(xray(some, rng()), full[[3, 1]])
+    nobody = replace(seen, candidates=())
+    assert len(xray(nobody, rng())) == 0
+    assert order(nobody, xray, rng()) == []
+
+
+def row_of_objects(rho: np.ndarray) -> SearchView:
+    """Objects of 1, 2, 3 and 4 columns side by side, background between."""
+    labels = np.full((1, 16), -1)
+    labels[0, [0, *(2, 3), *(5, 6, 7), *(9, 10, 11, 12)]] = [
+        *(0,),
+        *(1, 1),
+        *(2, 2, 2),
+        *(3, 3, 3, 3),
+    ]
+    return view(labels, rho)
+
+
+def test_xray_takes_the_nearest_where_all_products_are_zero() -> None:
+    rho = np.zeros((1, 16))
+    rho[0, 4] = 1.0  # between b and c, which touch it, and c is larger
+    assert names_of(order(row_of_objects(rho), xray, rng())) == [
+        "c",
+        "b",
+        "a",
+        "d",
+    ]
+    rho[0] = 0
+    rho[0, 15] = 1.0
+    assert names_of(order(row_of_objects(rho), xray, rng())) == [
+        "d",
+        "c",
+        "b",
+        "a",
+    ]
+
+
+def test_xray_takes_the_largest_where_there_is_no_support() -> None:
+    seen = row_of_objects(np.zeros((1, 16)))
+    assert names_of(order(seen, xray, rng())) == ["d", "c", "b", "a"]
+    assert [score for _, score in order(seen, xray, rng())] == [0.0] * 4
+
+
+def test_largest_counts_pixels() -> None:
+    seen = random_view(5, 0.0)
+    areas = seen.instances.areas()
+    np.testing.assert_array_equal(largest(seen, rng())[:, 0], areas)
+    some = replace(seen, candidates=("c", "a"))
+    np.testing.assert_array_equal(
+        largest(some, rng())[:, 0], [areas[2], areas[0]]
+    )
+
+
+def test_random_is_uniform_and_follows_its_generator() -> None:
+    seen = random_view(6, 0.0)
+    np.testing.assert_array_equal(random(seen, rng(1)), random(seen, rng(1)))
+    generator = rng(2)
+    first = [names_of(order(seen, random, generator))[0] for _ in range(2000)]
+    for name in seen.candidates:
+        assert first.count(name) / 2000 == pytest.approx(0.25, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["xray", "largest"])
+def test_the_deterministic_rankings_draw_nothing(name: str) -> None:
+    generator = rng(3)
+    before = generator.bit_generator.state
+    RANKINGS[name](random_view(7, 0.0), generator)
+    assert generator.bit_generator.state == before
+
+
+def test_rankings_by_name() -> None:
+    assert dict(RANKINGS) == {"xray": xray, "largest": largest, "random": random}
+
+
+def test_equal_scores_keep_the_order_of_the_candidates() -> None:
+    labels = np.repeat([[2, 0, 3, 1]], 3, axis=0)
+    assert names_of(order(view(labels), largest, rng())) == list("abcd")
+
+
+def test_later_columns_break_ties_only() -> None:
+    table = {"a": (1, 9, 0), "b": (2, 0, 0), "c": (1, 9, 5), "d": (2, 1, 0)}
+
+    def ranking(seen: SearchView, generator: np.random.Generator) -> np.ndarray:
+        return np.array([table[name] for name in seen.candidates], float)
+
+    ranked = order(random_view(8, 0.0), ranking, rng())
+    assert ranked == [("d", 2.0), ("b", 2.0), ("c", 1.0), ("a", 1.0)]
+
+
+def test_the_target_goes_first_with_the_score_it_has() -> None:
+    seen = row_of_objects(np.zeros((1, 16)))
+    ranked = order(seen, largest, rng(), target="b")
+    assert ranked == [("b", 2.0), ("d", 4.0), ("c", 3.0), ("a", 1.0)]
+    for absent in ("", "nobody"):
+        assert names_of(order(seen, largest, rng(), target=absent)) == [
+            "d",
+            "c",
+            "b",
+            "a",
+        ]
+
+
+def test_the_target_goes_first_only_as_a_candidate() -> None:
+    seen = replace(row_of_objects(np.zeros((1, 16))), candidates=("a", "c"))
+    ranked = order(seen, largest, rng(), target="b")
+    assert names_of(ranked) == ["c", "a"]
+
+
+def test_candidates_are_seen_well_enough() -> None:
+    instances = row_of_objects(np.zeros((1, 16))).instances
+    assert candidates(instances, min_pixels=3) == ("c", "d")
+    assert candidates(instances, min_pixels=1) == ("a", "b", "c", "d")
+    assert candidates(instances, min_pixels=5) == ()
+
+
+def test_distribution_and_masks_of_two_images() -> None:
+    seen = random_view(9, 0.0)
+    small = replace(seen, occupancy=OccupancyDistribution(np.zeros((3, 4))))
+    with pytest.raises(ValueError, match="from one image") as caught:
+        order(small, xray, rng())
+    assert "(3, 4)" in str(caught.value)
+    assert str(SHAPE) in str(caught.value)

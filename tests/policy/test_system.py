@@ -1,0 +1,320 @@
+"""The SearchPolicy alone: inputs fixed, the planner scripted."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
+
+from xray_drake.messages import (
+    Grasp,
+    GraspKind,
+    GripperMode,
+    GripperStatus,
+    InstanceMasks,
+    Message,
+    OccupancyDistribution,
+    Outcome,
+    SearchAction,
+    TargetMask,
+)
+from xray_drake.policy.ranking import Ranking, SearchView, largest, random
+from xray_drake.policy.system import SearchPolicy
+
+NAMES = ("box", "book", "cup")
+BODIES = {"box": 4, "book": 2, "cup": 3}
+LABELS = np.repeat([[0] * 6 + [1] * 10 + [2] * 8], 12, axis=0)  # (12, 24)
+RHO = np.linspace(0, 1, 12 * 24).reshape(12, 24)
+DONE = GripperStatus(GripperMode.IDLE, 1, Outcome.LIFTED)
+
+
+class Planner:
+    """Has one grasp for each name in ``graspable``, and notes who asks."""
+
+    def __init__(self, *graspable: str) -> None:
+        self.graspable = graspable
+        self.asked: list[tuple[str, tuple[Grasp, ...]]] = []
+        self.poses: Mapping[str, np.ndarray] = {}
+
+    def plan(
+        self,
+        object_name: str,
+        poses: Mapping[str, np.ndarray],
+        *,
+        excluded: Sequence[Grasp] = (),
+    ) -> Grasp:
+        self.asked.append((object_name, tuple(excluded)))
+        self.poses = poses
+        if object_name not in self.graspable:
+            return Grasp()
+        return Grasp(GraspKind.JAW, object_name, width=0.01 * len(self.asked))
+
+    @property
+    def names_asked(self) -> list[str]:
+        return [name for name, _ in self.asked]
+
+
+class Policy:
+    """A SearchPolicy with all inputs fixed, under simulation."""
+
+    def __init__(
+        self,
+        planner: Planner,
+        *,
+        ranking: Ranking = largest,
+        target_first: bool = False,
+        min_visible_pixels: int = 50,
+        seed: int = 0,
+    ) -> None:
+        self.system = SearchPolicy(
+            ranking=ranking,
+            planner=planner,
+            bodies=BODIES,
+            target_first=target_first,
+            min_visible_pixels=min_visible_pixels,
+            seed=seed,
+        )
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        self.fix("occupancy", OccupancyDistribution(RHO))
+        self.fix("instances", InstanceMasks(LABELS, NAMES))
+        self.fix("target_mask", TargetMask(np.zeros(LABELS.shape)))
+        self.fix("status", GripperStatus())
+        self.fix_poses(0.0)
+
+    def fix(self, port: str, message: Message) -> None:
+        self.system.GetInputPort(port).FixValue(
+            self.context, AbstractValue.Make(message)
+        )
+
+    def fix_poses(self, shift: float) -> None:
+        poses = [RigidTransform([shift, 0.0, 0.1 * i]) for i in range(6)]
+        self.system.GetInputPort("body_poses").FixValue(
+            self.context, AbstractValue.Make(poses)
+        )
+
+    def advance(self, duration: float = 0.2) -> SearchAction:
+        self.simulator.AdvanceTo(self.context.get_time() + duration)
+        return self.action
+
+    @property
+    def action(self) -> SearchAction:
+        return self.system.GetOutputPort("action").Eval(self.context)
+
+
+def test_ports_are_named() -> None:
+    system = Policy(Planner()).system
+    assert [
+        system.get_input_port(i).get_name()
+        for i in range(system.num_input_ports())
+    ] == ["occupancy", "instances", "target_mask", "status", "body_poses"]
+    assert system.num_output_ports() == 1
+    assert system.get_output_port().get_name() == "action"
+    assert system.get_name() == "search_policy"
+
+
+def test_the_action_depends_on_state_alone() -> None:
+    """Or policy and gripper would make an algebraic loop."""
+    system = Policy(Planner()).system
+    assert not system.HasAnyDirectFeedthrough()
+
+
+def test_nothing_is_decided_before_the_first_event() -> None:
+    planner = Planner("book")
+    policy = Policy(planner)
+    assert policy.action.number == 0
+    assert not policy.action.grasp
+    assert planner.asked == []
+
+
+def test_the_first_decision_and_what_it_says() -> None:
+    planner = Planner("cup", "book")
+    policy = Policy(planner)
+    target = np.zeros(LABELS.shape, bool)
+    target[:4, :6] = True
+    policy.fix("target_mask", TargetMask(target))
+    action = policy.advance()
+    assert action.number == 1
+    assert action.grasp.object == "book"
+    assert action.ranking == ("book", "cup", "box")
+    assert action.scores == (120.0, 96.0, 72.0)
+    assert action.score == 120.0
+    assert not action.is_target
+    assert action.support == np.count_nonzero(RHO)
+    assert action.support_01 == np.count_nonzero(RHO.astype("f4") > 0.1)
+    assert action.target_pixels == 24
+    stages = dict(action.seconds)
+    assert list(stages) == ["perception", "occupancy", "ranking", "planning"]
+    assert min(stages.values()) >= 0
+    assert planner.names_asked == ["book"]
+
+
+def test_the_planner_gets_the_poses_of_the_bodies() -> None:
+    planner = Planner("book")
+    policy = Policy(planner)
+    policy.fix_poses(0.3)
+    policy.advance()
+    assert set(planner.poses) == set(NAMES)
+    for name, index in BODIES.items():
+        expected = RigidTransform([0.3, 0.0, 0.1 * index])
+        np.testing.assert_array_equal(
+            planner.poses[name], expected.GetAsMatrix4()
+        )
+
+
+def test_it_waits_until_the_gripper_has_done_the_action() -> None:
+    planner = Planner("book")
+    policy = Policy(planner)
+    assert policy.advance().number == 1
+    for status in (
+        GripperStatus(),  # not taken up yet
+        GripperStatus(GripperMode.BUSY, 1),
+        GripperStatus(GripperMode.BUSY, 0),
+    ):
+        policy.fix("status", status)
+        assert policy.advance().number == 1
+    assert len(planner.asked) == 1
+    policy.fix("status", DONE)
+    assert policy.advance().number == 2
+    assert len(planner.asked) == 2
+
+
+@pytest.mark.parametrize(
+    "status",
+    [GripperStatus(GripperMode.BUSY, 0), GripperStatus(GripperMode.IDLE, 3)],
+)
+def test_it_does_not_look_while_it_waits(status: GripperStatus) -> None:
+    """Inputs other than the status are not even connected."""
+    system = SearchPolicy(ranking=largest, planner=Planner(), bodies=BODIES)
+    simulator = Simulator(system)
+    port = system.GetInputPort("status")
+    context = simulator.get_mutable_context()
+    port.FixValue(context, AbstractValue.Make(status))
+    simulator.AdvanceTo(0.2)
+    port.FixValue(context, AbstractValue.Make(GripperStatus()))
+    with pytest.raises(RuntimeError, match="not connected"):
+        simulator.AdvanceTo(0.4)
+
+
+def test_it_takes_the_next_in_the_ranking_that_has_a_grasp() -> None:
+    planner = Planner("box")
+    action = Policy(planner).advance()
+    assert planner.names_asked == ["book", "cup", "box"]
+    assert action.grasp.object == "box"
+    assert action.ranking == ("book", "cup", "box")
+    assert action.score == 72.0
+
+
+def test_no_grasp_at_all_is_an_action_too() -> None:
+    planner = Planner()
+    action = Policy(planner).advance()
+    assert action.number == 1
+    assert action.grasp.kind is GraspKind.NONE
+    assert not action.is_target
+    assert planner.names_asked == ["book", "cup", "box"]
+
+
+def test_nothing_seen_is_no_grasp() -> None:
+    planner = Planner(*NAMES)
+    policy = Policy(planner)
+    policy.fix("instances", InstanceMasks(np.full(LABELS.shape, -1), ()))
+    action = policy.advance()
+    assert (action.number, action.ranking) == (1, ())
+    assert action.grasp.kind is GraspKind.NONE
+    assert planner.asked == []
+
+
+def test_objects_seen_too_little_are_not_candidates() -> None:
+    planner = Planner("box")
+    action = Policy(planner, min_visible_pixels=73).advance()
+    assert action.ranking == ("book", "cup")
+    assert not action.grasp
+
+
+@pytest.mark.parametrize("outcome", [Outcome.FAILED, Outcome.SLIPPED])
+def test_grasps_that_failed_are_excluded_from_then_on(
+    outcome: Outcome,
+) -> None:
+    planner = Planner("book", "cup")
+    policy = Policy(planner)
+    first = policy.advance().grasp
+    policy.fix("status", GripperStatus(GripperMode.IDLE, 1, outcome))
+    second = policy.advance().grasp
+    assert planner.asked[-1] == ("book", (first,))
+    policy.fix("status", GripperStatus(GripperMode.IDLE, 2, outcome))
+    planner.graspable = ("cup",)
+    third = policy.advance().grasp
+    assert planner.asked[-2:] == [("book", (first, second)), ("cup", ())]
+    policy.fix("status", GripperStatus(GripperMode.IDLE, 3, Outcome.LIFTED))
+    policy.advance()
+    assert planner.asked[-2:] == [("book", (first, second)), ("cup", ())]
+    policy.fix("status", GripperStatus(GripperMode.IDLE, 4, outcome))
+    policy.advance()
+    excluded = planner.asked[-1][1]
+    assert planner.asked[-1][0] == "cup"
+    assert len(excluded) == 1
+    assert third not in excluded  # it had lifted
+
+
+@pytest.mark.parametrize("target_first", [True, False])
+@pytest.mark.parametrize("graspable", [("box", "book"), ("book",)])
+def test_target_first(target_first: bool, graspable: tuple[str, ...]) -> None:
+    planner = Planner(*graspable)
+    policy = Policy(planner, target_first=target_first)
+    policy.fix("target_mask", TargetMask(LABELS == 0))
+    action = policy.advance()
+    expected = graspable[0] if target_first else "book"
+    assert action.grasp.object == expected
+    assert action.is_target == (expected == "box")
+    assert action.ranking[0] == ("box" if target_first else "book")
+    assert action.score == {"box": 72.0, "book": 120.0}[expected]
+
+
+def test_the_target_by_its_rank_is_the_target_too() -> None:
+    policy = Policy(Planner("box"))
+    policy.fix("target_mask", TargetMask(LABELS == 0))
+    action = policy.advance()
+    assert action.is_target
+    assert action.ranking == ("book", "cup", "box")
+
+
+def recorder(
+    draws: list[float],
+) -> Callable[[SearchView, np.random.Generator], np.ndarray]:
+    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+        draws.append(rng.random())
+        return largest(view, rng)
+
+    return ranking
+
+
+def test_each_decision_has_a_generator_of_its_own() -> None:
+    draws: dict[int, list[float]] = {0: [], 1: []}
+    for seed, seen in draws.items():
+        policy = Policy(Planner("book"), ranking=recorder(seen), seed=seed)
+        policy.advance()
+        policy.fix("status", DONE)
+        policy.advance()
+    again: list[float] = []
+    Policy(Planner(), ranking=recorder(again), seed=0).advance()
+    assert len({*draws[0], *draws[1]}) == 4
+    assert again == draws[0][:1]
+
+
+def test_reading_the_action_decides_nothing() -> None:
+    planner = Planner(*NAMES)
+    policy = Policy(planner, ranking=random)
+    first = policy.advance()
+    policy.context.SetTime(7.0)
+    policy.fix("occupancy", OccupancyDistribution(0 * RHO))
+    assert policy.action is first
+    assert len(planner.asked) == 1
+
+
+def test_masks_of_another_image() -> None:
+    policy = Policy(Planner("book"))
+    policy.fix("target_mask", TargetMask(np.zeros((5, 5))))
+    with pytest.raises(ValueError, match=r"\(5, 5\)"):
+        policy.advance()
