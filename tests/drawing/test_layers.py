@@ -35,8 +35,9 @@ def random_heap(camera: PinholeCamera, seed: int) -> np.ndarray:
         w, h = rng.integers(2, 9, 2)
         depth[v : v + h, u : u + w] -= rng.uniform(0.01, 0.2)
     for none in (0.0, np.inf, np.nan):
-        v, u = rng.integers(camera.height, size=9), rng.integers(
-            camera.width, size=9
+        v, u = (
+            rng.integers(camera.height, size=9),
+            rng.integers(camera.width, size=9),
         )
         depth[v, u] = none
     return depth.astype(np.float32)

@@ -143,7 +143,11 @@ def test_the_deterministic_rankings_draw_nothing(name: str) -> None:
 
 
 def test_rankings_by_name() -> None:
-    assert dict(RANKINGS) == {"xray": xray, "largest": largest, "random": random}
+    assert dict(RANKINGS) == {
+        "xray": xray,
+        "largest": largest,
+        "random": random,
+    }
 
 
 def test_equal_scores_keep_the_order_of_the_candidates() -> None:

@@ -9,6 +9,10 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.resources import models_dir
+from xray_drake.scene.contact import (
+    HUNT_CROSSLEY_DISSIPATION,
+    hydroelastic_modulus,
+)
 from xray_drake.scene.library import make_object
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.sdf import write_sdf, write_targets
@@ -60,13 +64,13 @@ def test_drake_reads_back_what_was_written(model, tmp_path):
     assert len(pieces) == len(model.pieces)
     for geometry in pieces:
         properties = inspector.GetProximityProperties(geometry)
-        assert (
-            properties.GetProperty("hydroelastic", "hydroelastic_modulus")
-            == 1e6
-        )
+        index = int(inspector.GetName(geometry).rsplit("_", 1)[1])
+        assert properties.GetProperty(
+            "hydroelastic", "hydroelastic_modulus"
+        ) == pytest.approx(hydroelastic_modulus(model.pieces[index]), rel=1e-5)
         assert (
             properties.GetProperty("material", "hunt_crossley_dissipation")
-            == 10
+            == HUNT_CROSSLEY_DISSIPATION
         )
         friction = properties.GetProperty("material", "coulomb_friction")
         assert friction.dynamic_friction() == model.friction

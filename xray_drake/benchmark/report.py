@@ -97,7 +97,7 @@ def start_shares(records: Sequence[dict[str, Any]]) -> dict[str, float]:
 def table(records: Sequence[dict[str, Any]]) -> str:
     """Returns the paper's Table II as Markdown."""
     lines = [
-        "| policy | success rate | 95 % interval | quartiles of actions | ends |",
+        "| policy | success rate | 95 % interval | actions, quartiles | ends |",
         "|---|---|---|---|---|",
     ]
     for s in summarize(records):

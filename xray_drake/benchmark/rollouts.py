@@ -15,7 +15,7 @@ from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
 ROLLOUTS = "rollouts.jsonl"
 SCENARIO = "scenario.yaml"
 
-_HEAPS_PER_WORKER = 10
+_HEAPS_PER_WORKER = 4
 """Then a worker process is replaced, so that its memory is freed."""
 
 

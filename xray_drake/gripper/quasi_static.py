@@ -104,8 +104,10 @@ _HOLDING = (_Phase.LIFT, _Phase.HOLD, _Phase.CARRY, _Phase.LOWER)
 
 @dataclass(frozen=True, eq=False)
 class _Motion(Message):
-    """The gripper's state. ``segment`` moves the held object's centre of mass
-    frame while it holds one, else the grasp frame.
+    """The gripper's state.
+
+    ``segment`` moves the held object's centre of mass while one is held, else
+    the grasp frame.
     """
 
     phase: _Phase

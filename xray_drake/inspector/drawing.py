@@ -1,5 +1,6 @@
 """Draws a search into Meshcat while it goes on."""
 
+from typing import Any
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
@@ -41,7 +42,7 @@ class SearchDrawing:
         """Draws a decision; hides the one before."""
         name = diagram.scenario.camera.name
 
-        def look(port: str):
+        def look(port: str) -> Any:
             return diagram.GetOutputPort(port).Eval(context)
 
         depth = look(f"{name}.depth_image").data[:, :, 0]

@@ -1,4 +1,4 @@
-"""Pictures of a search for documents: ``python -m xray_drake.inspector.pictures``."""
+"""The README's pictures: ``python -m xray_drake.inspector.pictures``."""
 
 import subprocess
 import sys

@@ -8,6 +8,9 @@ import trimesh
 DEFAULT_FRICTION = 0.5
 """Coulomb friction of objects, bin and fingers (PROTOCOL.md)."""
 
+CREASE_ANGLE = np.deg2rad(35)
+"""Faces that meet at less are shaded as one smooth surface."""
+
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
@@ -93,4 +96,11 @@ def object_from_pieces(
         inertia=np.array(visual.moment_inertia),
         friction=friction,
         color=color,
+    )
+
+
+def shaded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Splits the vertices along creases, so that edges look sharp."""
+    return trimesh.graph.smooth_shade(
+        mesh, angle=CREASE_ANGLE, facet_minarea=None
     )

@@ -36,9 +36,13 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.geometry.convex import half_thickness
 from xray_drake.resources import PACKAGE_NAME
-from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.contact import (
+    HUNT_CROSSLEY_DISSIPATION,
+    PRESSURE_GRADIENT,
+    hydroelastic_modulus,
+)
+from xray_drake.scene.object_model import ObjectModel, shaded
 from xray_drake.scene.parsing import configure_parser
 
 BIN_FLOOR_X = (-0.25, 0.25)
@@ -49,17 +53,6 @@ BIN_WALL_HEIGHT = 0.12
 TOTE_POSITION = (0.62, 0.0, 0.0)
 """Centre of the tote's inside floor in the world, m: beside the bin and out
 of the overhead camera's view."""
-
-PRESSURE_GRADIENT = 2e7
-"""Pa/m. How fast pressure rises with depth in an object, the same in all.
-
-Drake's compliant bodies have pressure E·depth/H, H being half a piece's
-thickness. One modulus E for all makes thin pieces very stiff: the 5 mm target
-then hops for ever (tilting 0.7 mm at every other step) and drives its
-neighbours. So E is chosen per piece as this gradient times H."""
-
-HUNT_CROSSLEY_DISSIPATION = 30.0
-"""s/m."""
 
 TUMBLE_TIME = 0.05
 """s. An object's free rotation decays over this time: it stands in for the
@@ -140,14 +133,8 @@ def inside_bin(p_W: np.ndarray) -> bool:
 
 
 def in_memory_mesh(mesh: trimesh.Trimesh, label: str) -> InMemoryMesh:
-    """Returns a mesh as Drake takes it, with the normals that VTK needs.
-
-    Vertices are split at creases, so that edges look sharp.
-    """
-    shaded = trimesh.graph.smooth_shade(
-        mesh, angle=np.deg2rad(35), facet_minarea=None
-    )
-    text = trimesh.exchange.obj.export_obj(shaded, include_normals=True)
+    """Returns a mesh as Drake takes it, with the normals that VTK needs."""
+    text = trimesh.exchange.obj.export_obj(shaded(mesh), include_normals=True)
     return InMemoryMesh(
         mesh_file=MemoryFile(
             contents=text, extension=".obj", filename_hint=label
@@ -200,7 +187,9 @@ def add_object(
         )
         AddCompliantHydroelasticProperties(
             resolution_hint=0.05,
-            hydroelastic_modulus=pressure_gradient * half_thickness(vertices),
+            hydroelastic_modulus=hydroelastic_modulus(
+                vertices, pressure_gradient
+            ),
             properties=proximity,
         )
         plant.RegisterCollisionGeometry(

@@ -12,20 +12,15 @@ import numpy as np
 import trimesh
 
 from xray_drake.resources import models_dir
-from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.contact import (
+    HUNT_CROSSLEY_DISSIPATION,
+    hydroelastic_modulus,
+)
+from xray_drake.scene.object_model import ObjectModel, shaded
 from xray_drake.scene.shapes import box_of
 from xray_drake.scene.targets import TARGET_NAMES, target_model
 
 DRAKE_NAMESPACE = "http://drake.mit.edu"
-
-HYDROELASTIC_MODULUS = 1e6
-"""Pa."""
-
-HUNT_CROSSLEY_DISSIPATION = 10.0
-"""s/m."""
-
-CREASE_ANGLE = np.deg2rad(35)
-"""Faces that meet at less are shaded as one smooth surface."""
 
 
 def write_sdf(model: ObjectModel, folder: Path) -> Path:
@@ -55,7 +50,7 @@ def write_sdf(model: ObjectModel, folder: Path) -> Path:
     visual = SubElement(link, "visual", name="visual")
     if not _add_box(visual, np.asarray(model.visual.vertices)):
         path = folder / f"{stem}_visual.obj"
-        _write_obj(_shaded(model.visual), path)
+        _write_obj(shaded(model.visual), path)
         _add_mesh(visual, path.name)
     material = SubElement(visual, "material")
     SubElement(material, "diffuse").text = _numbers(model.color)
@@ -67,7 +62,7 @@ def write_sdf(model: ObjectModel, folder: Path) -> Path:
             _write_obj(trimesh.Trimesh(vertices).convex_hull, path)
             mesh = _add_mesh(collision, path.name)
             SubElement(mesh, _drake("declare_convex"))
-        _add_proximity(collision, model.friction)
+        _add_proximity(collision, vertices, model.friction)
 
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
@@ -111,23 +106,18 @@ def _add_mesh(parent: Element, uri: str) -> Element:
     return mesh
 
 
-def _add_proximity(collision: Element, friction: float) -> None:
+def _add_proximity(
+    collision: Element, vertices: np.ndarray, friction: float
+) -> None:
     properties = SubElement(collision, _drake("proximity_properties"))
     SubElement(properties, _drake("compliant_hydroelastic"))
     for name, value in (
-        ("hydroelastic_modulus", HYDROELASTIC_MODULUS),
+        ("hydroelastic_modulus", hydroelastic_modulus(vertices)),
         ("hunt_crossley_dissipation", HUNT_CROSSLEY_DISSIPATION),
         ("mu_dynamic", friction),
         ("mu_static", friction),
     ):
         SubElement(properties, _drake(name)).text = _numbers([value])
-
-
-def _shaded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Splits the vertices along creases, so that edges look sharp."""
-    return trimesh.graph.smooth_shade(
-        mesh, angle=CREASE_ANGLE, facet_minarea=None
-    )
 
 
 def _write_obj(mesh: trimesh.Trimesh, path: Path) -> None:

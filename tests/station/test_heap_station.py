@@ -1,0 +1,211 @@
+from typing import Any
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import Role
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.scene.heap import Heap
+from xray_drake.station.heap_station import StationParts, build_heap_station
+from xray_drake.station.scenario import Scenario
+
+HOME = np.array([0.0, 1.0, 0, 0, 0.0, 0.32, 0.34, 0, 0])
+IN_VIEW = np.array([0.0, 1.0, 0, 0, 0.0, 0.0, 0.3, 0, 0])
+IN_THE_HEAP = np.array([0.0, 1.0, 0, 0, 0.05, 0.09, 0.1, 0, 0])
+"""Quaternion and position of the gripper's base, two finger joints."""
+
+
+class Station:
+    def __init__(self, heap: Heap) -> None:
+        self.diagram: Diagram
+        self.parts: StationParts
+        self.diagram, self.parts = build_heap_station(Scenario(), heap)
+
+    def context(self, gripper: np.ndarray = HOME) -> Context:
+        context = self.diagram.CreateDefaultContext()
+        self.diagram.GetInputPort("gripper.position").FixValue(context, gripper)
+        return context
+
+    def image(self, name: str, context: Context) -> np.ndarray:
+        port = self.diagram.GetOutputPort(f"overhead.{name}_image")
+        return np.array(port.Eval(context).data)
+
+    def pose(self, name: str, context: Context) -> np.ndarray:
+        plant_context = self.parts.plant.GetMyContextFromRoot(context)
+        body = self.parts.objects[name].body
+        return body.EvalPoseInWorld(plant_context).GetAsMatrix4()
+
+
+@pytest.fixture(scope="module")
+def station(tiny_heap: Heap) -> Station:
+    return Station(tiny_heap)
+
+
+def test_ports_are_named(station: Station) -> None:
+    diagram = station.diagram
+    assert diagram.get_name() == "heap_station"
+    assert {
+        diagram.get_input_port(i).get_name()
+        for i in range(diagram.num_input_ports())
+    } == {"applied_spatial_force", "gripper.position"}
+    assert {
+        diagram.get_output_port(i).get_name()
+        for i in range(diagram.num_output_ports())
+    } == {
+        "overhead.color_image",
+        "overhead.depth_image",
+        "overhead.label_image",
+        "overhead.camera",
+        "query_object",
+        "contact_results",
+        "cheat.body_poses",
+        "cheat.body_spatial_velocities",
+    }
+
+
+def test_what_it_is_made_of(station: Station, tiny_heap: Heap) -> None:
+    for name in ("plant", "scene_graph", "overhead"):
+        assert station.diagram.HasSubsystemNamed(name)
+    parts = station.parts
+    assert list(parts.objects) == [model.name for model in tiny_heap.models]
+    assert parts.labels == {
+        name: int(item.body.index()) for name, item in parts.objects.items()
+    }
+    for model in tiny_heap.models:
+        assert parts.objects[model.name].model is model
+    assert parts.plant.HasBodyNamed("tote")
+
+
+def test_the_default_context_has_the_heap(
+    station: Station, tiny_heap: Heap
+) -> None:
+    context = station.context()
+    poses = station.diagram.GetOutputPort("cheat.body_poses").Eval(context)
+    velocities = station.diagram.GetOutputPort(
+        "cheat.body_spatial_velocities"
+    ).Eval(context)
+    for name, X_WO in tiny_heap.poses.items():
+        index = int(station.parts.objects[name].body.index())
+        np.testing.assert_allclose(
+            poses[index].GetAsMatrix4(), X_WO, atol=1e-12
+        )
+        assert not velocities[index].get_coeffs().any()
+
+
+def test_the_heap_stays_at_rest(station: Station, tiny_heap: Heap) -> None:
+    simulator = Simulator(station.diagram, station.context())
+    simulator.AdvanceTo(0.3)
+    for name, X_WO in tiny_heap.poses.items():
+        now = station.pose(name, simulator.get_context())
+        np.testing.assert_allclose(now[:3, 3], X_WO[:3, 3], atol=3e-4)
+
+
+def test_images(
+    station: Station, tiny_heap: Heap, recorded_observation: Any
+) -> None:
+    context = station.context()
+    depth, label, color = (
+        station.image(name, context) for name in ("depth", "label", "color")
+    )
+    assert (depth.shape, depth.dtype) == ((384, 512, 1), np.float32)
+    assert (label.shape, label.dtype) == ((384, 512, 1), np.int16)
+    assert (color.shape, color.dtype) == ((384, 512, 4), np.uint8)
+    np.testing.assert_array_equal(depth[..., 0], recorded_observation.depth)
+    np.testing.assert_array_equal(label[..., 0], recorded_observation.labels)
+    camera = station.diagram.GetOutputPort("overhead.camera").Eval(context)
+    assert isinstance(camera, PinholeCamera)
+    assert camera.shape == (384, 512)
+    book = label[..., 0] == station.parts.labels["book"]
+    u, v, z = camera.project(tiny_heap.poses["book"][:3, 3] + [0, 0, 0.01])
+    assert book[round(v), round(u)]
+    assert depth[round(v), round(u), 0] == pytest.approx(z, abs=1e-3)
+
+
+@pytest.mark.parametrize("gripper", [IN_VIEW, IN_THE_HEAP])
+def test_the_drawn_gripper_is_not_seen(
+    station: Station, gripper: np.ndarray
+) -> None:
+    away, here = station.context(), station.context(gripper)
+    for name in ("depth", "label", "color"):
+        np.testing.assert_array_equal(
+            station.image(name, here), station.image(name, away)
+        )
+
+
+def test_the_drawn_gripper_is_drawn_and_touches_nothing(
+    station: Station,
+) -> None:
+    inspector = station.parts.scene_graph.model_inspector()
+    gripper = [
+        geometry
+        for geometry in inspector.GetAllGeometryIds()
+        if "gripper" in inspector.GetName(inspector.GetFrameId(geometry))
+        or "finger" in inspector.GetName(inspector.GetFrameId(geometry))
+    ]
+    drawn = [g for g in gripper if inspector.GetIllustrationProperties(g)]
+    assert len(drawn) >= 6
+    for geometry in gripper:
+        assert inspector.GetProximityProperties(geometry) is None
+        assert inspector.GetPerceptionProperties(geometry) is None
+    assert inspector.NumGeometriesWithRole(Role.kProximity) == 10 + 5
+    simulator = Simulator(station.diagram, station.context(IN_THE_HEAP))
+    before = station.pose("plank", simulator.get_context())
+    simulator.AdvanceTo(0.1)
+    after = station.pose("plank", simulator.get_context())
+    np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=3e-4)
+
+
+def test_a_force_on_its_port_moves_an_object(station: Station) -> None:
+    item = station.parts.objects["plank"]
+    applied = ExternallyAppliedSpatialForce()
+    applied.body_index = item.body.index()
+    applied.p_BoBq_B = item.model.p_OCom
+    applied.F_Bq_W = SpatialForce(
+        tau=np.zeros(3), f=[0, 0, item.model.mass * (9.81 + 1.0)]
+    )
+    context = station.context()
+    station.diagram.GetInputPort("applied_spatial_force").FixValue(
+        context, AbstractValue.Make([applied])
+    )
+    start = station.pose("plank", context)[2, 3]
+    simulator = Simulator(station.diagram, context)
+    simulator.AdvanceTo(0.3)
+    lifted = station.pose("plank", simulator.get_context())[2, 3] - start
+    assert lifted == pytest.approx(0.5 * 1.0 * 0.3**2, rel=0.1)
+
+
+def test_images_follow_the_objects(station: Station) -> None:
+    context = station.context()
+    before = station.image("label", context)
+    plant = station.parts.plant
+    station.parts.objects["block"].joint.SetPose(
+        plant.GetMyMutableContextFromRoot(context),
+        RigidTransform([2.0, 0.0, 0.0]),
+    )
+    after = station.image("label", context)
+    label = station.parts.labels["block"]
+    assert (before == label).any()
+    assert not (after == label).any()
+
+
+def test_a_camera_of_another_name(tiny_heap: Heap) -> None:
+    scenario = Scenario()
+    scenario.camera.name = "side"
+    scenario.camera.width, scenario.camera.height = 64, 48
+    scenario.camera.center_x, scenario.camera.center_y = 31.5, 23.5
+    diagram, _ = build_heap_station(scenario, tiny_heap)
+    context = diagram.CreateDefaultContext()
+    assert diagram.GetOutputPort("side.camera").Eval(context).shape == (48, 64)
+
+
+def test_a_camera_on_a_body(tiny_heap: Heap) -> None:
+    scenario = Scenario()
+    scenario.camera.X_PB.base_frame = "book"
+    with pytest.raises(ValueError, match="'book'"):
+        build_heap_station(scenario, tiny_heap)

@@ -1,0 +1,309 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from pydrake.common.schema import Rotation
+from pydrake.common.yaml import yaml_dump_typed
+
+from xray_drake.scene.targets import TARGET_NAMES
+from xray_drake.station.scenario import (
+    Scenario,
+    ScenarioError,
+    check_scenario,
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+    scenario_names,
+)
+
+SOURCE = "my/own.yaml"
+
+
+def whole(scenario: Scenario) -> str:
+    """Config structs have no equality; their dumps do."""
+    return yaml_dump_typed(scenario, schema=Scenario)
+
+
+def complaint(text: str) -> str:
+    """Returns what is said of a bad scenario: one line that names the file."""
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, SOURCE)
+    message = str(caught.value)
+    assert message.startswith(SOURCE)
+    assert "\n" not in message
+    return message
+
+
+def todo(reason: str) -> pytest.MarkDecorator:
+    return pytest.mark.xfail(strict=True, reason=reason)
+
+
+def test_the_demo_comes_with_the_package() -> None:
+    assert "demo" in scenario_names()
+    demo = load_scenario("demo")
+    assert (demo.name, demo.scene.target) == ("demo", "box_2to1")
+    assert (demo.scene.num_objects, demo.horizon) == (14, 10)
+    assert demo.policy.target_first
+    assert demo.policy.min_visible_pixels == 50
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_scenario_of_the_package_loads(name: str) -> None:
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    check_scenario(scenario)
+
+
+def test_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("seed: 3\nscene:\n  target: lid\n")
+    for given in (path, str(path)):
+        scenario = load_scenario(given)
+        assert (scenario.seed, scenario.scene.target) == (3, "lid")
+        assert scenario.scene.num_objects == Scenario().scene.num_objects
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "{}"])
+def test_what_is_not_said_has_its_default(text: str) -> None:
+    assert whole(parse_scenario(text, SOURCE)) == whole(Scenario())
+
+
+def test_settings_deep_inside() -> None:
+    scenario = parse_scenario(
+        """
+        scene: {heap: {offset_sigma: 0.03, max_attempts: 2}}
+        camera: {width: 320, X_PB: {translation: [0, 0, 0.9]}}
+        perception: {exact: {rotations: 16}}
+        gripper: {quasi_static: {perturbation: {position_sigma: 0}}}
+        plant_config: {time_step: 0.004}
+        """,
+        SOURCE,
+    )
+    assert scenario.scene.heap.offset_sigma == 0.03
+    assert scenario.scene.heap.max_attempts == 2
+    assert scenario.camera.width == 320
+    assert scenario.camera.height == 384
+    assert scenario.perception.exact.rotations == 16
+    assert scenario.gripper.quasi_static.perturbation.position_sigma == 0
+    assert scenario.plant_config.time_step == 0.004
+    assert scenario.plant_config.stiction_tolerance == 1e-4
+
+
+def test_scenarios_share_nothing() -> None:
+    first, second = Scenario(), Scenario()
+    first.scene.heap.offset_sigma = 9.0
+    first.camera.width = 9
+    assert whole(second) == whole(Scenario())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("horizn: 3", ["horizn", "did you mean horizon?"]),
+        ("scene: {targt: lid}", ["scene.targt", "mean scene.target?"]),
+        ("scene: {heap: {foo: 1}}", ["scene.heap.foo"]),
+        (
+            "gripper: {quasi_static: {perturbation: {sigma: 1}}}",
+            ["gripper.quasi_static.perturbation.sigma"],
+        ),
+        ("1: 2", ["unknown key 1"]),
+        ("camera: {widht: 320}", ["widht"]),
+        pytest.param(
+            "camera: {widht: 320}",
+            ["camera.widht", "mean camera.width?"],
+            marks=todo("Drake's reader names the key without its path"),
+        ),
+        pytest.param(
+            "plant_config: {timestep: 0.1}",
+            ["plant_config.timestep"],
+            marks=todo("Drake's reader names the key without its path"),
+        ),
+    ],
+)
+def test_an_unknown_key_is_named_with_its_path(
+    text: str, said: list[str]
+) -> None:
+    message = complaint(text)
+    for part in said:
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "seed: 1\nhorizon: 2\nseed: 2",
+        "scene: {num_objects: 1, num_objects: 2}",
+        "camera: {width: 10, width: 20}",
+    ],
+)
+def test_a_key_that_stands_twice(text: str) -> None:
+    assert "stands twice" in complaint(text)
+
+
+@pytest.mark.parametrize("text", ["{", "a: *b", "a: b: c", "\t", "? [a]\n: 1"])
+def test_not_yaml(text: str) -> None:
+    assert "not YAML" in complaint(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"), [("- a\n- b", "list"), ("demo", "str"), ("3", "int")]
+)
+def test_something_else_at_top_level(text: str, kind: str) -> None:
+    message = complaint(text)
+    assert "top level" in message
+    assert kind in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("scene: {target: spoon}", ["scene.target", "'spoon'", *TARGET_NAMES]),
+        ("policy: {name: greedy}", ["policy.name", "xray, largest, random"]),
+        ("perception: {detector: eye}", ["perception.detector", "'eye'"]),
+        ("perception: {segmenter: eye}", ["perception.segmenter"]),
+        ("perception: {occupancy: eye}", ["perception.occupancy", "exact"]),
+        ("gripper: {grasps: eye}", ["gripper.grasps", "models"]),
+        ("gripper: {execution: eye}", ["gripper.execution", "quasi_static"]),
+        ("plant_config: {contact_model: soft}", ["contact_model", "'soft'"]),
+    ],
+)
+def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
+    message = complaint(text)
+    for part in said:
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("scene: {num_objects: 0}", ["scene.num_objects", "0", "at least 1"]),
+        ("scene: {num_objects: -2}", ["scene.num_objects", "-2"]),
+        ("horizon: 0", ["horizon is 0", "at least 1"]),
+        ("seed: -1", ["seed is -1", "negative"]),
+        pytest.param(
+            "plant_config: {time_step: -1}",
+            ["plant_config.time_step"],
+            marks=pytest.mark.skip("Drake ends the process"),
+        ),
+        pytest.param(
+            "camera: {name: ''}",
+            ["camera.name"],
+            marks=pytest.mark.skip("Drake ends the process when it is built"),
+        ),
+        pytest.param(
+            "camera: {width: 0}",
+            ["camera", "width"],
+            marks=todo("found out, in three lines, when it is built"),
+        ),
+        pytest.param(
+            "camera: {renderer_class: RenderEngineGl}",
+            ["RenderEngineGl"],
+            marks=todo("found out when it is built, after the drop"),
+        ),
+        pytest.param(
+            "gripper: {quasi_static: {approach_time: 0}}",
+            ["gripper.quasi_static.approach_time"],
+            marks=todo("ZeroDivisionError in the first action"),
+        ),
+        pytest.param(
+            "scene: {heap: {max_attempts: 0}}",
+            ["scene.heap.max_attempts"],
+            marks=todo("'0 heaps in a row failed'"),
+        ),
+    ],
+)
+def test_a_number_out_of_range(text: str, said: list[str]) -> None:
+    message = complaint(text)
+    for part in said:
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("horizon: ten", ["horizon"]),
+        ("horizon: 1.5", ["horizon", "1.5"]),
+        ("seed: null", ["seed"]),
+        ("scene: {num_objects: many}", ["num_objects", "many"]),
+        ("scene: {meshes: [1]}", ["1"]),
+        pytest.param("scene: 5", ["scene"], marks=todo("the message is '5'")),
+        pytest.param("scene:", ["scene"], marks=todo("the message is 'None'")),
+        pytest.param(
+            "policy: xray", ["policy"], marks=todo("the message is 'xray'")
+        ),
+        pytest.param(
+            "scene: {meshes: some/dir}",
+            ["scene.meshes"],
+            marks=todo("taken for a list of letters"),
+        ),
+    ],
+)
+def test_a_value_of_the_wrong_kind(text: str, said: list[str]) -> None:
+    message = complaint(text)
+    for part in said:
+        assert part in message.removeprefix(SOURCE)
+
+
+@pytest.mark.parametrize("name", ["nope", "", "/"])
+def test_no_such_scenario(name: str) -> None:
+    with pytest.raises(ScenarioError, match="demo") as caught:
+        load_scenario(name)
+    assert repr(name) in str(caught.value)
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"nope\.yaml"):
+        load_scenario(tmp_path / "nope.yaml")
+
+
+def test_a_file_that_is_not_text(tmp_path: Path) -> None:
+    path = tmp_path / "image.yaml"
+    path.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(ScenarioError, match=r"image\.yaml"):
+        load_scenario(path)
+
+
+def test_a_dump_holds_what_differs_and_reads_back() -> None:
+    assert parse_scenario(dump_scenario(Scenario()), SOURCE).seed == 0
+    scenario = Scenario(name="mine", seed=12, horizon=3)
+    scenario.scene.target = "flute"
+    scenario.scene.meshes = ["a folder/x", "b"]
+    scenario.scene.heap.rest_motion = 1e-5
+    scenario.camera.width = 320
+    scenario.camera.X_PB.translation = [0.1, 0.0, 0.9]
+    scenario.gripper.quasi_static.perturbation.friction = 0.4
+    scenario.plant_config.time_step = 0.004
+    text = dump_scenario(scenario)
+    assert "num_objects" not in text
+    assert "stiction_tolerance" not in text
+    assert whole(parse_scenario(text, SOURCE)) == whole(scenario)
+
+
+@todo("the tag of the rotation is lost on the way out, rejected on the way in")
+def test_a_tilted_camera_survives_a_dump() -> None:
+    scenario = Scenario()
+    scenario.camera.X_PB.rotation = Rotation(
+        value=Rotation.Rpy(deg=[175.0, 5.0, 20.0])
+    )
+    read = parse_scenario(dump_scenario(scenario), SOURCE)
+    assert whole(read) == whole(scenario)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "camera: {X_PB: {rotation: !Rpy {deg: [175, 5, 20]}}}",
+            "[175.0, 5.0, 20.0]",
+        ),
+        ("camera: {focal: !FovDegrees {x: 50}}", "!FovDegrees"),
+    ],
+)
+@todo("tags of Drake's own schema are rejected as not YAML")
+def test_tags_of_drakes_schema(text: str, said: str) -> None:
+    assert said in whole(parse_scenario(text, SOURCE))
+
+
+def test_a_scenario_made_in_python_is_checked_too() -> None:
+    with pytest.raises(ScenarioError, match="scenario: horizon is 0"):
+        check_scenario(replace(Scenario(), horizon=0))
