@@ -15,9 +15,7 @@ def camera_over_bin(
 ) -> PinholeCamera:
     """Returns a camera 0.8 m up; tilted by ``tilt`` radians."""
     X_WC = np.eye(4)
-    X_WC[:3, :3] = Rotation.from_euler(
-        "xz", [np.pi - tilt, 0.3]
-    ).as_matrix() @ np.diag([1.0, 1.0, 1.0])
+    X_WC[:3, :3] = Rotation.from_euler("xz", [np.pi - tilt, 0.3]).as_matrix()
     X_WC[:3, 3] = [0.02, -0.03, 0.8]
     K = np.array([[40.0, 0, 11.0], [0, 44.0, 8.5], [0, 0, 1]])
     return PinholeCamera(width, height, K, X_WC)

@@ -244,9 +244,9 @@ def test_the_spring_sees_the_centre_of_mass_move() -> None:
     np.testing.assert_allclose(
         applied.F_Bq_W.translational(), [0, 0, 9.81 * model.mass], atol=1e-9
     )
-    assert applied.F_Bq_W.rotational()[2] == pytest.approx(
-        -2 * 20 * model.inertia[2, 2] * 2.0
-    )
+    torque = applied.F_Bq_W.rotational()
+    assert torque[2] < -1e-4  # against the turn
+    np.testing.assert_allclose(torque[:2], 0, atol=1e-9)
 
 
 def test_what_the_status_says_during_the_lift() -> None:

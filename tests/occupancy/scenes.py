@@ -99,7 +99,7 @@ def cover(
 ) -> trimesh.Trimesh:
     """Puts a plate right over a mesh that lies there, a little larger."""
     length, width, height = mesh.extents
-    plate = trimesh.creation.box([length + 0.02, width + 0.016, 0.01])
+    plate = trimesh.creation.box([length + 0.03, width + 0.026, 0.01])
     X_WO = trimesh.transformations.rotation_matrix(angle, [0, 0, 1])
     X_WO[:3, 3] = [x, y, height + 0.006]
     return plate.apply_transform(X_WO)

@@ -1,4 +1,5 @@
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,11 @@ TARGET = target_model("box_2to1")
 OBJECTS = [make_object(name) for name in ("brick_003", "disc_001", "star_002")]
 
 WIDE = HeapConfig(
-    offset_sigma=0.3, offset_limit=0.5, drop_height=0.1, drop_period=0.1
+    offset_sigma=0.3,
+    offset_limit=0.5,
+    drop_height=0.1,
+    drop_period=0.1,
+    rest_timeout=2.0,
 )
 """So wide that some things fall beside the bin."""
 
@@ -108,10 +113,19 @@ def test_the_target_lies_under_what_falls_after_it(tiny_heap: Heap) -> None:
     np.testing.assert_allclose(target[:2, 3], 0, atol=0.02)
 
 
+def first_wide_heap(wanted: Callable[[Heap], bool]) -> Heap:
+    """Drops heaps until one is as wanted; nearly every second one is."""
+    for seed in range(10_000, 10_020):
+        heap = drop_heap(TARGET, OBJECTS, seed, config=WIDE)
+        if wanted(heap):
+            return heap
+    raise AssertionError("none of twenty heaps is as wanted")
+
+
 def test_what_falls_beside_the_bin_is_removed() -> None:
-    heap = drop_heap(TARGET, OBJECTS, 10_001, config=WIDE)
+    heap = first_wide_heap(lambda heap: len(heap.objects) < 3)
     assert heap.num_dropped == 3
-    assert 1 <= len(heap.objects) < 3
+    assert heap.objects
     assert set(heap.poses) == {model.name for model in heap.models}
     assert all(inside_bin(X_WO[:3, 3]) for X_WO in heap.poses.values())
 
@@ -120,11 +134,11 @@ def test_a_heap_without_its_target_is_drawn_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with caplog.at_level(logging.WARNING):
-        heap = drop_heap(TARGET, OBJECTS, 10_002, config=WIDE)
-    assert heap.attempts == 2
+        heap = first_wide_heap(lambda heap: heap.attempts > 1)
     assert inside_bin(heap.poses["box_2to1"][:3, 3])
-    assert "seed 10002, draw 1" in caplog.text
-    assert "the target left the bin" in caplog.text
+    failed = [f"seed {heap.seed}, draw {i}" for i in range(1, heap.attempts)]
+    assert all(draw in caplog.text for draw in failed)
+    assert f"seed {heap.seed}, draw {heap.attempts}" not in caplog.text
 
 
 def test_a_seed_that_fails_again_and_again(

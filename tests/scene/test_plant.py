@@ -13,6 +13,7 @@ from xray_drake.geometry.convex import half_thickness
 from xray_drake.scene.library import make_object
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
+    TUMBLE_TIME,
     PlantObject,
     add_bin,
     add_object,
@@ -100,7 +101,6 @@ def test_pieces_become_compliant_convex_geometries() -> None:
         moduli.append(
             properties.GetProperty("hydroelastic", "hydroelastic_modulus")
         )
-        assert moduli[-1] == pytest.approx(2e7 * half_thickness(vertices))
         friction = properties.GetProperty("material", "coulomb_friction")
         assert friction.dynamic_friction() == 0.3
         hull = inspector.GetShape(geometry).GetConvexHull()
@@ -110,7 +110,10 @@ def test_pieces_become_compliant_convex_geometries() -> None:
             vertices[np.lexsort(vertices.T.round(6))],
             atol=1e-6,
         )
-    assert moduli[0] != moduli[1]  # thin pieces are not stiffer
+    # Pressure rises at one rate in all, so thin pieces are not stiffer.
+    thickness = [half_thickness(vertices) for vertices in model.pieces]
+    assert thickness[1] > 1.2 * thickness[0]
+    assert moduli[1] / moduli[0] == pytest.approx(thickness[1] / thickness[0])
 
 
 def test_labels_are_body_indices_and_colours_the_models() -> None:
@@ -133,7 +136,9 @@ def test_free_rotation_decays_and_free_fall_does_not() -> None:
     model = hammer()
     joint = Station(model).items[0].joint
     mean_inertia = np.linalg.eigvalsh(model.inertia).mean()
-    assert joint.default_angular_damping() == pytest.approx(mean_inertia / 0.05)
+    assert joint.default_angular_damping() == pytest.approx(
+        mean_inertia / TUMBLE_TIME
+    )
     assert joint.default_translational_damping() == 0.0
 
 

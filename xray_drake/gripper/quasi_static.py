@@ -18,11 +18,10 @@ from pydrake.systems.framework import (
     LeafSystem,
     State,
 )
-from scipy.spatial.transform import Rotation
 
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
-from xray_drake.gripper.motion import Segment, straight, tracking_wrench
+from xray_drake.gripper.motion import Grip, Segment, straight
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -62,8 +61,11 @@ class QuasiStaticConfig:
     speed: float = 0.8
     # Time of the approach, and of the way back, s.
     approach_time: float = 0.4
-    # Natural frequency of the spring between gripper and object, rad/s.
-    stiffness_frequency: float = 20.0
+    # The spring between gripper and object: N/m, N·s/m, and the most that it
+    # pulls beyond the object's weight, N.
+    stiffness: float = 450.0
+    damping: float = 30.0
+    force: float = 20.0
     # The object has slipped when it lags this far behind the gripper, m.
     slip_distance: float = 0.08
     # The heap rests when nothing moves farther than this in a round, m, s.
@@ -167,6 +169,7 @@ class QuasiStaticGripper(LeafSystem):
         config: QuasiStaticConfig | None = None,
         seed: int = 0,
         period: float = 0.02,
+        time_step: float = 0.005,
     ) -> None:
         """Builds the gripper.
 
@@ -178,15 +181,28 @@ class QuasiStaticGripper(LeafSystem):
             config: motions and perturbations.
             seed: of the perturbations.
             period: of the state machine, s.
+            time_step: of the plant, s.
         """
         super().__init__()
         self.set_name("gripper_controller")
         self._judge = judge
         self._models = {model.name: model for model in objects}
         self._bodies = dict(bodies)
-        self._drawn = drawn
+        self._opening = drawn.opening
+        X_JB, X_CB = np.linalg.inv(drawn.X_BJ), np.linalg.inv(drawn.X_BC)
+        self._X_GB = {
+            GraspKind.NONE: X_JB,
+            GraspKind.JAW: X_JB,
+            GraspKind.SUCTION: X_CB,
+        }
         self._config = config or QuasiStaticConfig()
         self._seed = seed
+        self._grip = Grip(
+            stiffness=self._config.stiffness,
+            damping=self._config.damping,
+            force=self._config.force,
+            step=time_step,
+        )
         self._action = self.DeclareAbstractInputPort(
             "action", Value(SearchAction())
         )
@@ -276,7 +292,7 @@ class QuasiStaticGripper(LeafSystem):
         R = X_WO.rotation().matrix()
         p_OCom_W = R @ model.p_OCom
         w = V_WO.rotational()
-        torque, force = tracking_wrench(
+        torque, force = self._grip.wrench(
             mass=model.mass,
             inertia_W=R @ model.inertia @ R.T,
             desired=motion.segment.sample(context.get_time()),
@@ -284,7 +300,6 @@ class QuasiStaticGripper(LeafSystem):
             p_WCom=X_WO.translation() + p_OCom_W,
             w_WO=w,
             v_WCom=V_WO.translational() + np.cross(w, p_OCom_W),
-            frequency=self._config.stiffness_frequency,
         )
         applied = ExternallyAppliedSpatialForce()
         applied.body_index = BodyIndex(index)
@@ -296,19 +311,24 @@ class QuasiStaticGripper(LeafSystem):
         motion = self._motion(context)
         grasp = motion.action.grasp
         if motion.phase in _HOLDING:
-            X_WO = self._object_poses(context)[grasp.object]
+            index = self._bodies[grasp.object]
+            X_WO = self._poses.Eval(context)[index].GetAsMatrix4()
             X_WG = X_WO @ grasp.X_OG
         else:
             X_WG, _, _ = motion.segment.sample(context.get_time())
-        suction = grasp.kind is GraspKind.SUCTION
-        frame = self._drawn.X_BC if suction else self._drawn.X_BJ
-        X_WB = X_WG @ np.linalg.inv(frame)
-        x, y, z, w = Rotation.from_matrix(X_WB[:3, :3]).as_quat()
-        opening = self._drawn.opening
+        X_WB = RigidTransform(X_WG @ self._X_GB[grasp.kind])
+        opening = self._opening
         if motion.phase in _HOLDING:
             opening = min(grasp.width, opening)
-        closed = (self._drawn.opening - opening) / 2
-        output.SetFromVector([w, x, y, z, *X_WB[:3, 3], closed, closed])
+        closed = (self._opening - opening) / 2
+        output.SetFromVector(
+            [
+                *X_WB.rotation().ToQuaternion().wxyz(),
+                *X_WB.translation(),
+                closed,
+                closed,
+            ]
+        )
 
     def _update(self, context: Context, state: State) -> EventStatus:
         motion = self._motion(context)

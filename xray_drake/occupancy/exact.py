@@ -4,8 +4,8 @@ import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.columns import FlatTarget
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
+from xray_drake.occupancy.flat_target import FlatTarget
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.hidden import HiddenSearch
 from xray_drake.occupancy.seen import count_seen

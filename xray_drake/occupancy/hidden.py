@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.columns import FlatTarget
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
+from xray_drake.occupancy.flat_target import FlatTarget
 from xray_drake.occupancy.floor_grid import (
     Floor,
     Window,
@@ -60,11 +60,14 @@ class HiddenSearch:
         """
         self._config = config
         self._floor = floor
-        self._levels = [
-            np.linspace(
-                group.low,
-                group.high,
-                2 + int((group.high - group.low) / _LEVEL_SPACING),
+        self._groups = [
+            (
+                np.linspace(
+                    group.low,
+                    group.high,
+                    2 + int((group.high - group.low) / _LEVEL_SPACING),
+                ),
+                group.top,
             )
             for group in target.groups
         ]
@@ -124,7 +127,7 @@ class HiddenSearch:
             accepted = torch.fft.rfft2(blank.to(torch.float32))
             for total, kernel in zip(totals, kernels, strict=True):
                 total += accepted * kernel[1]
-        for total, levels in zip(totals, self._levels, strict=True):
+        for total, (levels, _) in zip(totals, self._groups, strict=True):
             covered = inverse(total, window.shape).round_().numpy()
             result += np.maximum.reduce(
                 [window.show(covered, camera, level) for level in levels]
@@ -137,8 +140,8 @@ class HiddenSearch:
         """Returns the window around what is hidden, and where columns show."""
         whole = self._floor_window()
         visible = [
-            _visible_columns(heights, camera, whole, levels)
-            for levels in self._levels
+            _visible_columns(heights, camera, whole, levels, top)
+            for levels, top in self._groups
         ]
         hidden = np.minimum.reduce(visible) == 0
         floor = self._floor.half_planes(self._config.floor_tolerance)
@@ -157,8 +160,8 @@ class HiddenSearch:
         if window.rows * window.columns >= whole.rows * whole.columns:
             return whole, visible
         visible = [
-            _visible_columns(heights, camera, window, levels)
-            for levels in self._levels
+            _visible_columns(heights, camera, window, levels, top)
+            for levels, top in self._groups
         ]
         return window, visible
 
@@ -220,15 +223,17 @@ def _visible_columns(
     camera: PinholeCamera,
     window: Window,
     levels: np.ndarray,
+    top: float,
 ) -> np.ndarray:
     """Returns uint8 1 where a column of the target would be seen, else 0.
 
-    Lower ends are compared with half the upper's height, lest noise of the
-    floor's depth hides them.
+    What is observed at the pixel of its highest level is compared with the
+    column's top; that at lower ones with half of it at least, lest noise of
+    the floor's depth hides them.
     """
     result = np.zeros(window.shape, dtype=np.uint8)
     for level in levels:
-        reference = max(level, levels[-1] / 2)
+        reference = top if level == levels[-1] else max(level, top / 2)
         lower = (heights < reference).astype(np.uint8)
         result |= window.sample(lower, camera, level, outside=1)
     return result

@@ -12,8 +12,8 @@ import torch
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.scanlines import Spans, convex_spans
-from xray_drake.occupancy.columns import FlatTarget
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
+from xray_drake.occupancy.flat_target import FlatTarget
 from xray_drake.occupancy.floor_grid import Window, inside
 from xray_drake.occupancy.spectra import (
     inverse,

@@ -119,6 +119,7 @@ def build_search_diagram(
             ),
             config=scenario.gripper.quasi_static,
             seed=scenario.seed,
+            time_step=scenario.plant_config.time_step,
         )
     )
 

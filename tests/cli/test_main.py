@@ -1,0 +1,79 @@
+import subprocess
+import sys
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from xray_drake import __version__
+from xray_drake.cli.main import app, errors_as_lines
+
+
+def test_version() -> None:
+    result = CliRunner().invoke(app, ["--version"])
+    assert result.exit_code == 0
+    assert result.stdout == f"xray-drake {__version__}\n"
+
+
+def test_help_names_every_command() -> None:
+    result = CliRunner().invoke(app, ["--help"])
+    assert result.exit_code == 0
+    for command in ("search", "benchmark", "doctor"):
+        assert command in result.stdout
+
+
+@pytest.mark.parametrize("arguments", ["'--version'", "'search', '--help'"])
+def test_asking_for_help_does_not_wait_for_drake(arguments: str) -> None:
+    script = (
+        "import sys\n"
+        "from xray_drake.cli.main import app\n"
+        f"app([{arguments}], standalone_mode=False)\n"
+        "assert 'pydrake' not in sys.modules\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    subprocess.run(
+        [sys.executable, "-c", script], check=True, stdout=subprocess.DEVNULL
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ValueError("of two\n  lines"), 2),
+        (FileNotFoundError(2, "none", "of two\n  lines"), 1),
+        (RuntimeError("of two\n  lines"), 1),
+    ],
+)
+def test_an_error_is_one_line_and_a_status(
+    error: Exception, code: int, capsys: pytest.CaptureFixture
+) -> None:
+    with pytest.raises(typer.Exit) as exit_info, errors_as_lines():
+        raise error
+    assert exit_info.value.exit_code == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith("xray-drake: ")
+    assert "of two" in line
+    assert "lines" in line
+
+
+def test_ctrl_c_has_the_status_that_shells_give_it(
+    capsys: pytest.CaptureFixture,
+) -> None:
+    with pytest.raises(typer.Exit) as exit_info, errors_as_lines():
+        raise KeyboardInterrupt
+    assert exit_info.value.exit_code == 130
+    assert capsys.readouterr().err == "xray-drake: interrupted\n"
+
+
+def test_an_exit_is_not_an_error(capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(typer.Exit) as exit_info, errors_as_lines():
+        raise typer.Exit(5)
+    assert exit_info.value.exit_code == 5
+    assert capsys.readouterr().err == ""
+
+
+def test_a_bug_is_not_hidden() -> None:
+    with pytest.raises(TypeError), errors_as_lines():
+        raise TypeError("a bug")

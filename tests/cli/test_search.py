@@ -1,0 +1,304 @@
+import itertools
+import json
+import re
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from xray_drake.cli.main import app
+from xray_drake.cli.search import configure
+from xray_drake.search.record import write_whole
+
+TOP_KEYS = {
+    "success",
+    "num_actions",
+    "horizon",
+    "policy",
+    "occupancy",
+    "execution",
+    "seed",
+    "target",
+    "objects",
+    "actions",
+    "end",
+    "versions",
+}
+ACTION_KEYS = {
+    "step",
+    "object",
+    "is_target",
+    "grasp",
+    "outcome",
+    "score",
+    "support_before",
+    "support_after",
+    "support_01_before",
+    "support_01_after",
+    "target_visible_fraction",
+    "seconds",
+}
+"""Of the rollout record, and of each of its actions."""
+
+ENDS = {"success", "horizon", "target_lost", "nothing_graspable"}
+OUTCOMES = {"lifted", "failed", "slipped", "no_grasp"}
+
+SMALL = """\
+name: small
+seed: 5
+horizon: 2
+scene: {num_objects: 3}
+policy: {name: largest, target_first: false}
+"""
+"""Several actions: the largest of three objects goes first."""
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(SMALL, encoding="utf-8")
+    return path
+
+
+def search(*arguments: object) -> tuple[int, str, str]:
+    """Returns exit status, standard output and standard error."""
+    result = CliRunner().invoke(app, ["search", *map(str, arguments)])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def complaint(*arguments: object) -> str:
+    """Returns the one line that bad input is answered with."""
+    code, out, err = search(*arguments)
+    assert code == 2
+    assert out.strip() == "", "nothing has been begun"
+    (line,) = err.splitlines()
+    assert line.startswith("xray-drake: ")
+    return line
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "named"),
+    [
+        ("--policy", "greedy", ["policy.name", "greedy", "largest"]),
+        ("--target", "box_11to1", ["scene.target", "box_11to1", "domino"]),
+        ("--num-objects", 0, ["scene.num_objects", "0"]),
+        ("--num-objects", -3, ["scene.num_objects", "-3"]),
+        ("--horizon", 0, ["horizon", "0"]),
+        ("--seed", -1, ["seed", "-1"]),
+        ("--execution", "magic", ["gripper.execution", "magic"]),
+        ("--grasps", "magic", ["gripper.grasps", "magic"]),
+        ("--occupancy", "magic", ["perception.occupancy", "magic", "exact"]),
+        ("--detector", "magic", ["perception.detector", "magic"]),
+        ("--segmenter", "magic", ["perception.segmenter", "magic"]),
+        ("--scenario", "dmeo", ["dmeo", "demo"]),
+        ("--scenario", "no/such.yaml", ["no/such.yaml"]),
+    ],
+)
+def test_bad_options(option: str, value: object, named: list[str]) -> None:
+    line = complaint(option, value)
+    for word in named:
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("scene: {target: box_2to1", ["not YAML"]),
+        ("a: b: c", ["not YAML"]),
+        ("- one\n- two\n", ["top level", "list"]),
+        ("horizn: 3\n", ["horizn", "horizon"]),
+        ("scene: {targt: domino}\n", ["scene.targt", "scene.target"]),
+        ("horizon: many\n", ["horizon", "many"]),
+        ("horizon: 3\nhorizon: 4\n", ["horizon", "twice"]),
+        ("scene: {target: brick}\n", ["scene.target", "brick"]),
+        ("policy: largest\n", ["policy", "largest"]),
+        ("plant_config: {contact_model: foo}\n", ["plant_config", "foo"]),
+    ],
+)
+def test_bad_scenario_files(
+    text: str, named: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text, encoding="utf-8")
+    line = complaint("--scenario", path)
+    assert str(path) in line
+    for word in named:
+        assert word in line
+
+
+def test_a_scenario_file_that_is_not_text(tmp_path: Path) -> None:
+    path = tmp_path / "picture.yaml"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    assert str(path) in complaint("--scenario", path)
+
+
+@pytest.mark.parametrize("option", ["--html", "--json"])
+def test_a_file_in_a_folder_that_does_not_exist(
+    option: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "nowhere" / "file"
+    line = complaint(option, path)
+    assert str(path.parent) in line
+    assert "does not exist" in line
+    assert not path.parent.exists()
+
+
+def test_bad_folders_of_meshes(tmp_path: Path) -> None:
+    missing, empty = tmp_path / "missing", tmp_path / "empty"
+    empty.mkdir()
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "a.obj").write_text("this is no mesh\n", encoding="utf-8")
+    for folder in (missing, empty, broken):
+        assert str(folder) in complaint("--meshes", folder)
+
+
+def test_a_recording_is_not_live(tmp_path: Path) -> None:
+    line = complaint("--meshcat", "--html", tmp_path / "a.html")
+    assert "--html" in line
+    assert "--meshcat" in line
+
+
+def test_options_replace_single_fields(small: Path) -> None:
+    plain = configure(str(small), {})
+    changed = configure(
+        str(small), {"scene.target": "lid", "horizon": 9, "seed": None}
+    )
+    assert (plain.scene.target, plain.horizon) == ("box_2to1", 2)
+    assert (changed.scene.target, changed.horizon) == ("lid", 9)
+    for scenario in (plain, changed):
+        assert scenario.scene.num_objects == 3
+        assert scenario.seed == 5
+        assert scenario.policy.name == "largest"
+
+
+def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
+    json_path, html_path = tmp_path / "a.json", tmp_path / "a.html"
+    code, out, err = search(
+        "--scenario", small, "--json", json_path, "--html", html_path
+    )
+    # Whatever the outcome: here the horizon ends it before the target is out.
+    assert (code, err) == (0, "")
+    record = json.loads(json_path.read_text(encoding="utf-8"))
+    assert set(record) >= TOP_KEYS
+    assert record["end"] in ENDS
+    assert record["success"] == (record["end"] == "success")
+    assert record["num_actions"] == len(record["actions"]) <= 2
+    assert (record["seed"], record["policy"]) == (5, "largest")
+    assert len(record["objects"]) == 3
+    assert set(record["versions"]) >= {"xray_drake", "drake"}
+    actions = record["actions"]
+    for step, action in enumerate(actions, 1):
+        assert set(action) >= ACTION_KEYS
+        assert action["step"] == step
+        assert action["outcome"] in OUTCOMES
+        assert set(action["grasp"]) >= {"kind", "X_WG", "width", "quality"}
+        assert action["grasp"]["kind"] in ("jaw", "suction", None)
+        assert action["support_after"] >= 0
+        assert action["support_01_before"] <= action["support_before"]
+        assert 0 <= action["target_visible_fraction"] <= 1
+        assert all(seconds >= 0 for seconds in action["seconds"].values())
+        # One line per action.
+        (line,) = re.findall(rf"^ *{step}  .*$", out, re.MULTILINE)
+        assert action["outcome"] in line
+        what = "the target" if action["is_target"] else action["object"]
+        assert what in line
+    for before, after in itertools.pairwise(actions):
+        assert before["support_after"] == after["support_before"]
+    assert f"{len(actions)} of 2" in out
+    assert record["end"] in out
+    assert str(json_path) in out.replace("\n", "")
+    assert "<html" in html_path.read_text(encoding="utf-8")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "a.html",
+        "a.json",
+        "small.yaml",
+    ]
+
+
+@contextmanager
+def full_disk(size: int) -> Iterator[None]:
+    """Lets no file grow beyond so many bytes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "record.json"
+    write_whole(path, "old")
+    with full_disk(100), pytest.raises(OSError):
+        write_whole(path, "new" * 100)
+    assert path.read_text(encoding="utf-8") == "old"
+    write_whole(path, "new" * 100)
+    assert path.read_text(encoding="utf-8") == "new" * 100
+    with pytest.raises(OSError):
+        write_whole(tmp_path, "over a folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_a_full_disk_is_one_line(small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "record.json"
+    path.write_text("old", encoding="utf-8")
+    with full_disk(500):
+        code, out, err = search(
+            "--scenario", small, "--num-objects", 1, "--json", path
+        )
+    assert code == 1
+    (line,) = err.splitlines()
+    assert line.startswith("xray-drake: ")
+    assert "too large" in line.lower()
+    assert "wrote" not in out
+    assert path.read_text(encoding="utf-8") == "old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "record.json",
+        "small.yaml",
+    ]
+
+
+def test_ctrl_c_leaves_the_record_so_far(small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "record.json"
+    # A shell's background jobs ignore Ctrl-C; this one does not.
+    script = (
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from xray_drake.cli.main import app\n"
+        "app()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, "search"]
+        + ["--scenario", small, "--horizon", "10", "--json", path],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+    )
+    try:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith(" 1  "):
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert "interrupted" in out
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert record["end"] == "interrupted"
+    assert record["success"] is False
+    assert set(record) >= TOP_KEYS
+    assert 1 <= record["num_actions"] < 10
+    assert record["actions"][0]["outcome"] in OUTCOMES

@@ -1,0 +1,176 @@
+import socket
+
+import numpy as np
+import pytest
+import umsgpack
+from pydrake.geometry import Meshcat
+from scipy.spatial.transform import Rotation
+
+from xray_drake.drawing.layers import heat_layer, surface_depth
+from xray_drake.drawing.meshcat_layers import (
+    draw_grasp,
+    draw_occupancy,
+    draw_outline,
+    look_at_bin,
+    start_meshcat,
+)
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import Grasp, GraspKind
+
+FLOAT32 = 0x17
+"""MessagePack extension of a Float32Array."""
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return start_meshcat()
+
+
+@pytest.fixture
+def camera() -> PinholeCamera:
+    X_WC = np.diag([1.0, -1.0, -1.0, 1.0])
+    X_WC[2, 3] = 0.8
+    K = np.array([[50.0, 0, 15.5], [0, 50.0, 11.5], [0, 0, 1]])
+    return PinholeCamera(32, 24, K, X_WC)
+
+
+def shown(meshcat: Meshcat, path: str) -> dict:
+    """Returns what was sent to the browser for a path."""
+    return umsgpack.unpackb(meshcat._GetPackedObject(path))["object"]
+
+
+def vertices(meshcat: Meshcat, path: str) -> np.ndarray:
+    """Returns the (n, 3) points of the geometry at a path."""
+    (geometry,) = shown(meshcat, path)["geometries"]
+    array = geometry["data"]["attributes"]["position"]["array"]
+    assert array.type == FLOAT32
+    return np.frombuffer(array.data, np.float32).reshape(-1, 3)
+
+
+def pose(meshcat: Meshcat, path: str) -> np.ndarray:
+    """Returns the 4×4 pose of a path in its parent."""
+    packed = umsgpack.unpackb(meshcat._GetPackedTransform(path))
+    return np.array(packed["matrix"]).reshape(4, 4).T
+
+
+def prop(meshcat: Meshcat, path: str, name: str) -> object:
+    return umsgpack.unpackb(meshcat._GetPackedProperty(path, name))["value"]
+
+
+def test_meshcat_answers_to_this_machine_alone() -> None:
+    meshcat = start_meshcat()
+    with socket.create_connection(("127.0.0.1", meshcat.port()), 5):
+        pass
+    # A server on every interface would answer at all of 127.0.0.0/8.
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.2", meshcat.port()), 5)
+
+
+def test_a_port_that_is_taken_is_an_error() -> None:
+    first = start_meshcat()
+    with pytest.raises(RuntimeError, match="port"):
+        start_meshcat(first.port())
+
+
+def test_the_camera_looks_into_the_bin(meshcat: Meshcat) -> None:
+    look_at_bin(meshcat)
+    assert prop(meshcat, "/Grid", "visible") is False
+    assert prop(meshcat, "/Axes", "visible") is False
+    # The camera's node turns y up (three.js) to z up.
+    x, y, z = prop(meshcat, "/Cameras/default/rotated/<object>", "position")
+    assert y > 0.3, "above the bin"
+    assert np.hypot(x, z) < 1.2, "near it"
+
+
+def test_occupancy_lies_on_the_heap(
+    meshcat: Meshcat, camera: PinholeCamera
+) -> None:
+    depth = camera.plane_depth(0.0).astype(np.float32)
+    depth[9:12, 14:18] -= 0.1
+    values = np.zeros(camera.shape)
+    values[4:16, 10:24] = 0.5
+    draw_occupancy(meshcat, "/t/occupancy", values, depth, camera, opacity=0.3)
+    expected, _, _ = heat_layer(values, surface_depth(depth, camera), camera)
+    drawn = vertices(meshcat, "/t/occupancy")
+    np.testing.assert_allclose(
+        sorted(map(tuple, drawn)), sorted(map(tuple, expected.T)), atol=1e-6
+    )
+    assert drawn[:, 2].min() == pytest.approx(0.0, abs=0.01)
+    assert drawn[:, 2].max() == pytest.approx(0.1, abs=0.01)
+    opacity = prop(meshcat, "/t/occupancy/<object>", "modulated_opacity")
+    assert opacity == 0.3
+
+
+def test_blank_layers_replace_what_was_drawn(
+    meshcat: Meshcat, camera: PinholeCamera
+) -> None:
+    depth = camera.plane_depth(0.0).astype(np.float32)
+    mask = np.zeros(camera.shape, bool)
+    mask[5:15, 5:20] = True
+    grasp = Grasp(GraspKind.SUCTION, "cup")
+
+    def draw(mask: np.ndarray, grasp: Grasp) -> list[bool]:
+        draw_occupancy(meshcat, "/b/occupancy", 1.0 * mask, depth, camera)
+        draw_outline(meshcat, "/b/outline", mask, depth, camera)
+        draw_grasp(meshcat, "/b/grasp", grasp)
+        return [
+            meshcat.HasPath(f"/b/{layer}")
+            for layer in ("occupancy", "outline", "grasp")
+        ]
+
+    assert draw(mask, grasp) == [True] * 3
+    assert draw(~mask & mask, Grasp()) == [False] * 3
+
+
+def test_the_outline_runs_along_the_edge_of_the_mask(
+    meshcat: Meshcat, camera: PinholeCamera
+) -> None:
+    depth = camera.plane_depth(0.05).astype(np.float32)
+    mask = np.zeros(camera.shape, bool)
+    mask[5:18, 6:25] = True
+    draw_outline(meshcat, "/o/outline", mask, depth, camera)
+    u, v, _ = camera.project(vertices(meshcat, "/o/outline")).T
+    assert {u.min().round(), u.max().round()} == {6, 24}
+    assert {v.min().round(), v.max().round()} == {5, 17}
+    on_edge = (
+        np.isclose(u, 6, atol=0.1)
+        | np.isclose(u, 24, atol=0.1)
+        | np.isclose(v, 5, atol=0.1)
+        | np.isclose(v, 17, atol=0.1)
+    )
+    assert on_edge.all()
+
+
+def some_pose() -> np.ndarray:
+    X_WG = np.eye(4)
+    X_WG[:3, :3] = Rotation.from_euler("xyz", [2.5, 0.4, 1.0]).as_matrix()
+    X_WG[:3, 3] = 0.05, -0.02, 0.07
+    return X_WG
+
+
+def test_a_suction_grasp_is_a_cup_at_its_pose(meshcat: Meshcat) -> None:
+    X_WG = some_pose()
+    draw_grasp(meshcat, "/s", Grasp(GraspKind.SUCTION, "block", X_WG))
+    np.testing.assert_allclose(pose(meshcat, "/s/cup"), X_WG, atol=1e-9)
+    (cup,) = shown(meshcat, "/s/cup")["geometries"]
+    assert cup["radiusTop"] == cup["radiusBottom"] == 0.015
+    # The stem stands on the cup, against the approach.
+    line = vertices(meshcat, "/s/line")
+    in_grasp = (line - X_WG[:3, 3]) @ X_WG[:3, :3]
+    np.testing.assert_allclose(in_grasp[:, :2], 0, atol=1e-6)
+    assert in_grasp[:, 2].min() < -0.03
+    assert in_grasp[:, 2].max() == pytest.approx(0, abs=1e-6)
+
+
+def test_a_jaw_grasp_is_a_fork_as_wide_as_the_grasp(meshcat: Meshcat) -> None:
+    X_WG = some_pose()
+    draw_grasp(meshcat, "/j", Grasp(GraspKind.SUCTION, "block", X_WG))
+    draw_grasp(meshcat, "/j", Grasp(GraspKind.JAW, "block", X_WG, width=0.03))
+    assert not meshcat.HasPath("/j/cup")
+    line = vertices(meshcat, "/j/line")
+    first, *between, last = (line - X_WG[:3, 3]) @ X_WG[:3, :3]
+    # Tips between which the object is, and a bridge behind them.
+    np.testing.assert_allclose(first, [0, -0.015, 0], atol=1e-6)
+    np.testing.assert_allclose(last, [0, 0.015, 0], atol=1e-6)
+    assert all(point[2] < -0.03 for point in between)
+    assert all(abs(point[0]) < 1e-6 for point in between)

@@ -1,0 +1,118 @@
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from xray_drake.scene.heap import drop_heap
+from xray_drake.scene.library import object_names
+from xray_drake.station.objects import choose_objects, make_heap
+from xray_drake.station.scenario import Scenario, ScenarioError
+
+
+def scenario(seed: int = 10_000, count: int = 3, *meshes: Path) -> Scenario:
+    result = Scenario(seed=seed)
+    result.scene.num_objects = count
+    result.scene.meshes = [str(folder) for folder in meshes]
+    result.scene.heap.drop_period = 0.1
+    return result
+
+
+def chosen(*args: Any) -> list[str]:
+    return [model.name for model in choose_objects(scenario(*args))]
+
+
+def folder_of_boxes(folder: Path, *names: str) -> Path:
+    folder.mkdir(parents=True)
+    for i, name in enumerate(names):
+        mesh = trimesh.creation.box((0.03, 0.04, 0.05 + 0.01 * i))
+        mesh.export(folder / f"{name}.obj")
+    return folder
+
+
+def test_the_seed_chooses() -> None:
+    assert chosen(10_000, 14) == chosen(10_000, 14)
+    assert chosen(10_000, 14) != chosen(10_001, 14)
+
+
+def test_without_replacement_while_the_library_lasts() -> None:
+    everything = len(object_names())
+    names = chosen(10_000, everything)
+    assert sorted(names) == sorted(object_names())
+    more = chosen(10_000, everything + 5)
+    assert len(set(more)) == everything + 5
+
+
+def test_meshes_replace_the_library_and_add_up(tmp_path: Path) -> None:
+    cups = folder_of_boxes(tmp_path / "cups", "red", "blue")
+    toys = folder_of_boxes(tmp_path / "toys", "duck")
+    names = chosen(10_000, 3, cups, toys)
+    assert sorted(names) == ["cups/blue", "cups/red", "toys/duck"]
+
+
+def test_few_meshes_come_again_under_other_names(tmp_path: Path) -> None:
+    toys = folder_of_boxes(tmp_path / "toys", "duck")
+    models = choose_objects(scenario(10_000, 3, toys))
+    assert len({model.name for model in models}) == 3
+    assert all(model.name.startswith("toys/duck") for model in models)
+
+
+@pytest.mark.xfail(
+    strict=True, reason="the second folder's object replaces the first's"
+)
+def test_two_folders_of_one_name_add_up_too(tmp_path: Path) -> None:
+    one = folder_of_boxes(tmp_path / "one" / "toys", "duck")
+    two = folder_of_boxes(tmp_path / "two" / "toys", "duck", "duck2")
+    heights = {
+        round(float(model.extents.max()), 3)
+        for model in choose_objects(scenario(10_000, 3, one, two))
+    }
+    assert len(choose_objects(scenario(10_000, 3, one, two))) == 3
+    assert heights == {0.05, 0.06}
+    names = chosen(10_000, 3, one, two)
+    assert not any("copy" in name for name in names)
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="nowhere"):
+        choose_objects(scenario(10_000, 3, tmp_path / "nowhere"))
+
+
+def test_the_heap_of_a_scenario() -> None:
+    wanted = scenario()
+    heap = make_heap(wanted)
+    assert heap.target.name == "box_2to1"
+    assert heap.seed == 10_000
+    again = drop_heap(
+        heap.target,
+        choose_objects(wanted),
+        wanted.seed,
+        config=wanted.scene.heap,
+        plant_config=wanted.plant_config,
+    )
+    for name, X_WO in heap.poses.items():
+        np.testing.assert_array_equal(again.poses[name], X_WO)
+    wanted.scene.target = "domino"
+    assert make_heap(wanted).target.name == "domino"
+
+
+def test_what_falls_and_how_it_falls_are_independent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No two purposes may draw the same random numbers."""
+    make = np.random.default_rng
+    starts: list[str] = []
+
+    def recorded(*args: Any) -> np.random.Generator:
+        rng = make(*args)
+        starts.append(str(rng.bit_generator.state["state"]))
+        return rng
+
+    wanted = scenario(10_000, 1)
+    choose_objects(wanted)  # builds the library's object, by its own stream
+    monkeypatch.setattr(np.random, "default_rng", recorded)
+    heap = make_heap(wanted)
+    assert heap.attempts == 1
+    assert len(starts) == 2
+    assert len(set(starts)) == 2
