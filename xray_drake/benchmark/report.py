@@ -94,8 +94,66 @@ def start_shares(records: Sequence[dict[str, Any]]) -> dict[str, float]:
     }
 
 
+def containment(
+    records: Sequence[dict[str, Any]], *, share: float = 0.95
+) -> tuple[float, float]:
+    """Says how often inference kept the true place of the target inside.
+
+    Args:
+        records: of any policies; the first decision of each heap counts.
+        share: of the true amodal mask that must lie in the support.
+
+    Returns:
+        Share of the heaps in which that much, and in which all of the mask
+        lay in the support.
+    """
+    first = {r["seed"]: r["actions"][0] for r in records if r.get("actions")}
+    inside = np.array([a["true_mask_in_support"] for a in first.values()])
+    if not inside.size:
+        return float("nan"), float("nan")
+    return float(np.mean(inside >= share)), float(np.mean(inside >= 1.0))
+
+
+def occluded(
+    records: Sequence[dict[str, Any]], *, visible: float = 0.9
+) -> list[dict[str, Any]]:
+    """Returns the records whose target starts at most this visible."""
+    return [
+        r
+        for r in records
+        if r.get("start", {}).get("target_visible_fraction", 0.0) <= visible
+    ]
+
+
 def table(records: Sequence[dict[str, Any]]) -> str:
-    """Returns the paper's Table II as Markdown."""
+    """Returns the paper's Table II as Markdown.
+
+    All heaps, then those that count as occluded (at most 90 % visible), then
+    how they start and how often the true place was in the support.
+    """
+    some, whole = containment(records)
+    shares = ", ".join(
+        f"{name} {share:.0%}" for name, share in start_shares(records).items()
+    )
+    return "\n".join(
+        [
+            "All heaps:",
+            "",
+            *_rows(records),
+            "",
+            "Heaps whose target starts at most 90 % visible:",
+            "",
+            *_rows(occluded(records)),
+            "",
+            f"Targets at the start: {shares}.",
+            "",
+            f"The support held at least 95 % of the target's true amodal mask "
+            f"in {some:.0%} of the heaps, all of it in {whole:.0%}.",
+        ]
+    )
+
+
+def _rows(records: Sequence[dict[str, Any]]) -> list[str]:
     lines = [
         "| policy | success rate | 95 % interval | actions, quartiles | ends |",
         "|---|---|---|---|---|",
@@ -107,7 +165,4 @@ def table(records: Sequence[dict[str, Any]]) -> str:
             f"| {s.policy} | {s.rate:.0%} of {s.rollouts} | "
             f"{s.low:.0%} to {s.high:.0%} | {quartiles} | {ends} |"
         )
-    shares = ", ".join(
-        f"{name} {share:.0%}" for name, share in start_shares(records).items()
-    )
-    return "\n".join([*lines, "", f"Targets at the start: {shares}."])
+    return lines

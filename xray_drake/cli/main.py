@@ -180,6 +180,9 @@ def benchmark(
         int, typer.Option(min=1, help="Processes.")
     ] = os.cpu_count() or 1,
     target: Annotated[str | None, typer.Option(help="Replaces it.")] = None,
+    horizon: Annotated[
+        int | None, typer.Option(help="Actions at most.")
+    ] = None,
     target_first: Annotated[
         bool | None, typer.Option("--target-first/--no-target-first")
     ] = None,
@@ -195,7 +198,11 @@ def benchmark(
         run(
             configure(
                 scenario,
-                {"scene.target": target, "policy.target_first": target_first},
+                {
+                    "scene.target": target,
+                    "horizon": horizon,
+                    "policy.target_first": target_first,
+                },
             ),
             policies=names,
             seeds=range(seed, seed + heaps),

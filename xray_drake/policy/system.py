@@ -83,6 +83,7 @@ class SearchPolicy(LeafSystem):
         bodies: Mapping[str, int],
         target_first: bool = True,
         min_visible_pixels: int = 50,
+        min_grasp_quality: float = 0.0,
         seed: int = 0,
         period: float = 0.05,
     ) -> None:
@@ -94,6 +95,8 @@ class SearchPolicy(LeafSystem):
             bodies: object name to its index in ``body_poses``.
             target_first: grasp the target whenever there is a grasp on it.
             min_visible_pixels: objects with fewer are not candidates.
+            min_grasp_quality: a weaker grasp is taken only where no candidate
+                has one as good as this; then the first of the weak ones is.
             seed: of the ranking's random generator.
             period: how often it checks for an idle gripper, s.
         """
@@ -104,6 +107,7 @@ class SearchPolicy(LeafSystem):
         self._bodies = dict(bodies)
         self._target_first = target_first
         self._min_pixels = min_visible_pixels
+        self._min_quality = min_grasp_quality
         self._seed = seed
         self._occupancy = self.DeclareAbstractInputPort(
             "occupancy", Value(OccupancyDistribution())
@@ -207,9 +211,12 @@ class SearchPolicy(LeafSystem):
             name: body_poses[index].GetAsMatrix4()
             for name, index in self._bodies.items()
         }
+        weak: tuple[Grasp, float] = (Grasp(), 0.0)
         for name, score in ranked:
             excluded = [grasp for grasp in failed if grasp.object == name]
             grasp = self._planner.plan(name, poses, excluded=excluded)
-            if grasp:
+            if grasp and grasp.quality >= self._min_quality:
                 return grasp, score
-        return Grasp(), 0.0
+            if grasp and not weak[0]:
+                weak = grasp, score
+        return weak

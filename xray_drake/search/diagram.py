@@ -103,6 +103,7 @@ def build_search_diagram(
             bodies=bodies,
             target_first=scenario.policy.target_first,
             min_visible_pixels=scenario.policy.min_visible_pixels,
+            min_grasp_quality=scenario.policy.min_grasp_quality,
             seed=scenario.seed,
         )
     )

@@ -160,6 +160,8 @@ class SearchMonitor:
         )
         pixels = max(int(np.count_nonzero(amodal)), 1)
         visible = action.target_pixels / pixels
+        support = self._occupancy.Eval(context).support()
+        inside = np.count_nonzero(support & amodal) / pixels
         record = self.record
         if not record.actions:
             record.start["target_visible_fraction"] = visible
@@ -176,6 +178,7 @@ class SearchMonitor:
                 support_before=action.support,
                 support_01_before=action.support_01,
                 target_visible_fraction=min(visible, 1.0),
+                true_mask_in_support=inside,
                 seconds=dict(action.seconds),
             )
         )

@@ -31,6 +31,8 @@ class ActionRecord:
         support_01_after: the same after it.
         target_visible_fraction: visible share of the target's amodal mask when
             it was decided.
+        true_mask_in_support: share of the target's true amodal mask that lay
+            in the support when it was decided.
         seconds: wall time per stage.
     """
 
@@ -46,6 +48,7 @@ class ActionRecord:
     support_01_before: int = 0
     support_01_after: int = -1
     target_visible_fraction: float = 0.0
+    true_mask_in_support: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -69,6 +72,7 @@ class ActionRecord:
             "support_01_before": self.support_01_before,
             "support_01_after": self.support_01_after,
             "target_visible_fraction": round(self.target_visible_fraction, 4),
+            "true_mask_in_support": round(self.true_mask_in_support, 4),
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
         }
 
