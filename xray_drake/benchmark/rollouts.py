@@ -16,7 +16,8 @@ ROLLOUTS = "rollouts.jsonl"
 SCENARIO = "scenario.yaml"
 
 _HEAPS_PER_WORKER = 4
-"""Then a worker process is replaced, so that its memory is freed."""
+"""Then the worker processes are replaced: each rollout leaves some 90 MB, since
+diagrams with systems in Python are in reference cycles through C++."""
 
 
 @dataclass(frozen=True)
@@ -109,21 +110,27 @@ def run_rollouts(
     # One thread a worker: two workers on two cores then scale. Workers inherit
     # the variables and read them when they import torch and NumPy.
     os.environ["OMP_NUM_THREADS"] = "1"
-    with (
-        (folder / ROLLOUTS).open("a", encoding="utf-8") as file,
-        ProcessPoolExecutor(
-            workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            max_tasks_per_child=_HEAPS_PER_WORKER,
-        ) as pool,
-    ):
+    batch = workers * _HEAPS_PER_WORKER
+    with (folder / ROLLOUTS).open("a", encoding="utf-8") as file:
+        for start in range(0, len(jobs), batch):
+            for record in _run_batch(jobs[start : start + batch], workers):
+                file.write(json.dumps(record) + "\n")
+                file.flush()
+                yield record
+
+
+def _run_batch(jobs: Sequence[Job], workers: int) -> Iterator[dict[str, Any]]:
+    """Runs jobs in processes that end with the batch.
+
+    ``max_tasks_per_child`` would free the memory too, but Python 3.11's
+    executor hangs when it replaces a worker.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
         futures = [pool.submit(run_job, job) for job in jobs]
         try:
             for future in as_completed(futures):
-                for record in future.result():
-                    file.write(json.dumps(record) + "\n")
-                    file.flush()
-                    yield record
+                yield from future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
