@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xray_drake.benchmark.report import start_shares, summarize, table
+from xray_drake.benchmark.report import (
+    containment,
+    occluded,
+    start_shares,
+    summarize,
+    table,
+)
 
 
 def record(
@@ -16,6 +22,7 @@ def record(
     *,
     visible: float = 0.0,
     tilt: float = 0.0,
+    inside: float = 1.0,
 ) -> dict:
     return {
         "policy": policy,
@@ -24,17 +31,21 @@ def record(
         "success": end == "success",
         "num_actions": num_actions,
         "start": {"target_visible_fraction": visible, "target_tilt_deg": tilt},
+        "actions": [
+            {"true_mask_in_support": inside},
+            {"true_mask_in_support": 0.0},
+        ],
     }
 
 
 RECORDS = [
     record("xray", 0, "success", 2, visible=0.0),
-    record("xray", 1, "success", 3, visible=0.5, tilt=9.0),
-    record("xray", 2, "success", 7, visible=0.9),
+    record("xray", 1, "success", 3, visible=0.5, tilt=9.0, inside=0.96),
+    record("xray", 2, "success", 7, visible=0.9, inside=0.5),
     record("xray", 3, "horizon", 10, visible=0.95),
     record("largest", 0, "horizon", 10, visible=0.0),
-    record("largest", 1, "horizon", 10, visible=0.5, tilt=9.0),
-    record("largest", 2, "target_lost", 4, visible=0.9),
+    record("largest", 1, "horizon", 10, visible=0.5, tilt=9.0, inside=0.96),
+    record("largest", 2, "target_lost", 4, visible=0.9, inside=0.5),
     {
         "policy": "largest",
         "seed": 4,
@@ -102,20 +113,39 @@ def test_each_heap_counts_once_in_how_targets_start() -> None:
     assert start_shares(RECORDS[-1:]) == {}
 
 
+def test_the_first_decision_of_each_heap_says_what_the_support_held() -> None:
+    # Seeds 0 to 3: all, 96 %, half, all.
+    assert containment(RECORDS) == (0.75, 0.5)
+    assert containment(RECORDS, share=0.5) == (1.0, 0.5)
+    assert np.isnan(containment(RECORDS[-1:])).all()
+
+
+def test_a_target_in_full_view_is_not_occluded() -> None:
+    kept = [(r["policy"], r["seed"]) for r in occluded(RECORDS)]
+    assert ("xray", 2) in kept
+    assert ("xray", 3) not in kept
+    assert len(kept) == len(RECORDS) - 1
+    assert occluded([]) == []
+
+
 def test_the_table_is_markdown() -> None:
     lines = table(RECORDS).splitlines()
-    columns = lines[0].count("|")
     rows = [line for line in lines if line.startswith("|")]
-    assert len(rows) == 4
-    assert all(row.count("|") == columns for row in rows)
-    cells = [cell.strip() for cell in rows[2].strip("|").split("|")]
-    assert cells == [
+    assert len({row.count("|") for row in rows}) == 1
+    cells = [[c.strip() for c in row.strip("|").split("|")] for row in rows]
+    # A table of all heaps, then one without seed 3.
+    assert cells[0] == cells[4]
+    assert cells[2] == [
         "xray",
         "75% of 4",
         "30% to 95%",
         "2.5, 3, 5",
         "success 3, horizon 1",
     ]
-    assert "0% of 4" in rows[3]
-    assert "error 1" in rows[3]
-    assert "hidden 25%" in lines[-1]
+    assert cells[6][:2] == ["xray", "100% of 3"]
+    for row in (cells[3], cells[7]):
+        assert row[:2] == ["largest", "0% of 4"]
+        assert "error 1" in row[-1]
+    text = " ".join(lines)
+    assert "hidden 25%" in text
+    assert "in 75% of the heaps, all of it in 50%" in text

@@ -26,6 +26,7 @@ def record(seed: int, policy: str, num_actions: int) -> dict:
         "success": num_actions < 10,
         "num_actions": num_actions,
         "start": {"target_visible_fraction": 0.0, "target_tilt_deg": 0.0},
+        "actions": [{"true_mask_in_support": 1.0}],
     }
 
 
@@ -72,6 +73,7 @@ def test_the_table_is_of_what_was_asked_for(done: Path) -> None:
         (("--policies", "xray,greedy"), "greedy"),
         (("--scenario", "dmeo"), "dmeo"),
         (("--target", "brick"), "brick"),
+        (("--horizon", "0"), "horizon"),
     ],
 )
 def test_bad_input_is_one_line(

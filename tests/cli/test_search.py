@@ -42,6 +42,7 @@ ACTION_KEYS = {
     "support_01_before",
     "support_01_after",
     "target_visible_fraction",
+    "true_mask_in_support",
     "seconds",
 }
 """Of the rollout record, and of each of its actions."""
@@ -205,6 +206,7 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         assert action["support_after"] >= 0
         assert action["support_01_before"] <= action["support_before"]
         assert 0 <= action["target_visible_fraction"] <= 1
+        assert 0 <= action["true_mask_in_support"] <= 1
         assert all(seconds >= 0 for seconds in action["seconds"].values())
         # One line per action.
         (line,) = re.findall(rf"^ *{step}  .*$", out, re.MULTILINE)

@@ -419,6 +419,14 @@ class Cell:
             self.gripper.GetMyContextFromRoot(self.context)
         )
 
+    def advance_until(self, *, stirring: bool) -> float:
+        """Advances until the status says so; returns the time."""
+        end = self.context.get_time() + 5.0
+        while self.status.stirring is not stirring:
+            self.simulator.AdvanceTo(self.context.get_time() + 0.02)
+            assert self.context.get_time() < end
+        return self.context.get_time()
+
     def run(self, action: SearchAction, limit: float = 8.0) -> list[np.ndarray]:
         """Runs an action to its end; returns the object's way, (n, 3)."""
         self.command(action)
@@ -514,12 +522,8 @@ def test_it_holds_until_the_rest_is_at_rest() -> None:
         }
         cell = Cell(Judge(), poses, brick(), target_model("box_2to1"))
         cell.command(take("brick"))
-        while not cell.status.stirring:
-            cell.simulator.AdvanceTo(cell.context.get_time() + 0.02)
-        start = cell.context.get_time()
-        while cell.status.stirring:
-            cell.simulator.AdvanceTo(cell.context.get_time() + 0.02)
-        waiting[height] = cell.context.get_time() - start
+        start = cell.advance_until(stirring=True)
+        waiting[height] = cell.advance_until(stirring=False) - start
         assert cell.status.held == "brick"
         lowest = cell.pose("box_2to1")[2, 3]
     assert waiting[6.0] > waiting[0.0025] + 0.2

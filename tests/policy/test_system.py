@@ -33,8 +33,11 @@ DONE = GripperStatus(GripperMode.IDLE, 1, Outcome.LIFTED)
 class Planner:
     """Has one grasp for each name in ``graspable``, and notes who asks."""
 
-    def __init__(self, *graspable: str) -> None:
+    def __init__(
+        self, *graspable: str, quality: Mapping[str, float] | None = None
+    ) -> None:
         self.graspable = graspable
+        self.quality = quality or {}
         self.asked: list[tuple[str, tuple[Grasp, ...]]] = []
         self.poses: Mapping[str, np.ndarray] = {}
 
@@ -49,7 +52,12 @@ class Planner:
         self.poses = poses
         if object_name not in self.graspable:
             return Grasp()
-        return Grasp(GraspKind.JAW, object_name, width=0.01 * len(self.asked))
+        return Grasp(
+            GraspKind.JAW,
+            object_name,
+            width=0.01 * len(self.asked),
+            quality=self.quality.get(object_name, 1.0),
+        )
 
     @property
     def names_asked(self) -> list[str]:
@@ -66,6 +74,7 @@ class Policy:
         ranking: Ranking = largest,
         target_first: bool = False,
         min_visible_pixels: int = 50,
+        min_grasp_quality: float = 0.0,
         seed: int = 0,
     ) -> None:
         self.system = SearchPolicy(
@@ -74,6 +83,7 @@ class Policy:
             bodies=BODIES,
             target_first=target_first,
             min_visible_pixels=min_visible_pixels,
+            min_grasp_quality=min_grasp_quality,
             seed=seed,
         )
         self.simulator = Simulator(self.system)
@@ -205,6 +215,23 @@ def test_it_takes_the_next_in_the_ranking_that_has_a_grasp() -> None:
     assert action.grasp.object == "box"
     assert action.ranking == ("book", "cup", "box")
     assert action.score == 72.0
+
+
+@pytest.mark.parametrize(
+    ("quality", "chosen", "score"),
+    [
+        ({"book": 0.5, "cup": 0.9}, "book", 120.0),  # good enough
+        ({"book": 0.2, "cup": 0.3, "box": 0.5}, "box", 72.0),
+        ({"book": 0.2, "cup": 0.3, "box": 0.1}, "book", 120.0),  # all weak
+    ],
+)
+def test_a_weak_grasp_where_there_is_no_better_one(
+    quality: dict[str, float], chosen: str, score: float
+) -> None:
+    planner = Planner(*quality, quality=quality)
+    action = Policy(planner, min_grasp_quality=0.4).advance()
+    assert action.grasp.object == chosen
+    assert action.score == score
 
 
 def test_no_grasp_at_all_is_an_action_too() -> None:

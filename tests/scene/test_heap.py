@@ -134,8 +134,11 @@ def test_a_heap_without_its_target_is_drawn_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with caplog.at_level(logging.WARNING):
-        heap = first_wide_heap(lambda heap: heap.attempts > 1)
-    assert inside_bin(heap.poses["box_2to1"][:3, 3])
+        heap = first_wide_heap(lambda heap: "target left" in caplog.text)
+    assert heap.attempts > 1
+    X_WT = heap.poses["box_2to1"]
+    assert inside_bin(X_WT[:3, 3])
+    assert X_WT[2, 3] < 0.1
     failed = [f"seed {heap.seed}, draw {i}" for i in range(1, heap.attempts)]
     assert all(draw in caplog.text for draw in failed)
     assert f"seed {heap.seed}, draw {heap.attempts}" not in caplog.text

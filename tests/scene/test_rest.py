@@ -64,6 +64,11 @@ def test_another_number_of_points_begins_a_new_round() -> None:
     assert fewer.update(1.65, START[:1]).at_rest
 
 
+def test_where_there_is_nothing_all_is_at_rest() -> None:
+    nothing = np.zeros((0, 3))
+    assert RestTest(0.001, 0.3).update(0.1, nothing).at_rest
+
+
 def test_nan_is_not_rest() -> None:
     assert not begun().update(1.3, moved(np.nan)).at_rest
 

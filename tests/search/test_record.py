@@ -22,7 +22,11 @@ ACTION_KEYS = {
     *("support_01_after", "target_visible_fraction", "seconds"),
 }
 GRASP_KEYS = {"kind", "X_WG", "width", "quality"}
-"""As DESIGN.md has them; beyond these, "start" and "reason" are ours."""
+"""As DESIGN.md has them."""
+
+OUR_RECORD_KEYS = {"start"}
+OUR_ACTION_KEYS = {"reason", "true_mask_in_support"}
+"""Beyond those; documented in the classes."""
 
 
 def jaw_action(
@@ -42,6 +46,7 @@ def jaw_action(
         support_01_before=600,
         support_01_after=200,
         target_visible_fraction=0.123456,
+        true_mask_in_support=0.97,
         seconds={"occupancy": 0.0301234, "planning": 0.2},
     )
 
@@ -63,9 +68,9 @@ def record(*actions: ActionRecord, end: str = "horizon") -> SearchRecord:
 
 def test_keys_of_the_record() -> None:
     data = record(jaw_action()).to_dict()
-    assert set(data) == RECORD_KEYS | {"start"}
+    assert set(data) == RECORD_KEYS | OUR_RECORD_KEYS
     (action,) = data["actions"]
-    assert set(action) == ACTION_KEYS | {"reason"}
+    assert set(action) == ACTION_KEYS | OUR_ACTION_KEYS
     assert set(action["grasp"]) == GRASP_KEYS
     assert {"xray_drake", "drake", "numpy"} <= set(data["versions"])
     assert all(isinstance(v, str) for v in data["versions"].values())
@@ -88,6 +93,7 @@ def test_values_of_the_record() -> None:
     assert first["score"] == pytest.approx(123.456)
     assert (first["support_before"], first["support_after"]) == (700, 300)
     assert (first["support_01_before"], first["support_01_after"]) == (600, 200)
+    assert first["true_mask_in_support"] == 0.97
     assert first["seconds"]["planning"] == 0.2
 
 
@@ -130,6 +136,15 @@ def test_writing_replaces_what_was_there(tmp_path: Path) -> None:
     for text in ("a long text\n", "kürzer"):
         write_whole(path, text)
         assert path.read_text(encoding="utf-8") == text
+
+
+def test_who_reads_meanwhile_reads_the_old_file_whole(tmp_path: Path) -> None:
+    path = tmp_path / "x.txt"
+    write_whole(path, "old text")
+    with path.open() as reader:
+        write_whole(path, "new")
+        assert reader.read() == "old text"
+    assert path.read_text() == "new"
 
 
 def test_writing_that_fails_leaves_what_was_there(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from xray_drake.search.record import write_whole
 from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
 
 ROLLOUTS = "rollouts.jsonl"
@@ -101,7 +102,11 @@ def run_rollouts(
     folder.mkdir(parents=True, exist_ok=True)
     check_folder(folder, text)
     (folder / SCENARIO).write_text(text, encoding="utf-8")
-    done = {(r["seed"], r["policy"]) for r in read_rollouts(folder)}
+    records = read_rollouts(folder)
+    # Without a line cut short, to which the next record would be added.
+    lines = [json.dumps(record) + "\n" for record in records]
+    write_whole(folder / ROLLOUTS, "".join(lines))
+    done = {(r["seed"], r["policy"]) for r in records}
     jobs = []
     for seed in seeds:
         missing = tuple(p for p in policies if (seed, p) not in done)

@@ -88,10 +88,16 @@ def run(console: Console) -> int:
             "ok  " if finding.good else "LACK" if finding.required else "note"
         )
         console.print(
-            f"{mark}  {finding.what}: {finding.detail}", highlight=False
+            f"{mark}  {finding.what}: {finding.detail}",
+            highlight=False,
+            soft_wrap=True,
         )
         if not finding.good:
-            console.print(f"      mend it: {finding.cure}", highlight=False)
+            console.print(
+                f"      mend it: {finding.cure}",
+                highlight=False,
+                soft_wrap=True,
+            )
             broken |= finding.required
     return int(broken)
 

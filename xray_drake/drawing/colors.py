@@ -3,9 +3,17 @@
 import cv2
 import numpy as np
 
+_HEAT = (
+    cv2.applyColorMap(
+        np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS
+    )[:, 0, ::-1]
+    / 255.0
+)
+"""(256, 3) RGB. Viridis: no value looks like the red targets."""
+
 
 def heat(values: np.ndarray) -> np.ndarray:
-    """Returns the colours of values in [0, 1], dark blue to red.
+    """Returns the colours of values in [0, 1], dark violet to yellow.
 
     Args:
         values: any shape.
@@ -14,8 +22,7 @@ def heat(values: np.ndarray) -> np.ndarray:
         (..., 3) float RGB in [0, 1].
     """
     scaled = np.clip(np.asarray(values) * 255, 0, 255).astype(np.uint8)
-    bgr = cv2.applyColorMap(scaled.reshape(-1, 1), cv2.COLORMAP_TURBO)
-    return bgr.reshape(*scaled.shape, 3)[..., ::-1] / 255.0
+    return _HEAT[scaled]
 
 
 def overlay(

@@ -33,6 +33,35 @@ def surface_depth(
     return nearest - _GAP
 
 
+def tiles(
+    shown: np.ndarray, depth: np.ndarray, camera: PinholeCamera, *, step: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the tiles of a depth image whose four corners are shown.
+
+    Args:
+        shown: (H, W) bool.
+        depth: (H, W) z-depth, m.
+        camera: of both images.
+        step: pixels per side of a tile.
+
+    Returns:
+        (3, n) vertices in the world in m, (3, m) triangles that face the
+        camera, (n,) each vertex's pixel as an index into the flat image; all
+        with no columns where nothing is shown.
+    """
+    corner = shown[::step, ::step]
+    filled = (
+        corner[:-1, :-1] & corner[1:, :-1] & corner[:-1, 1:] & corner[1:, 1:]
+    )
+    index = np.arange(shown.size).reshape(shown.shape)[::step, ::step]
+    a, b = index[:-1, :-1][filled], index[:-1, 1:][filled]
+    c, d = index[1:, :-1][filled], index[1:, 1:][filled]
+    faces = np.concatenate([np.stack([a, c, b]), np.stack([b, c, d])], axis=1)
+    used, faces = np.unique(faces, return_inverse=True)
+    points = camera.unproject(depth).reshape(-1, 3)[used]
+    return points.T, faces.reshape(3, -1).astype(np.int32), used
+
+
 def heat_layer(
     values: np.ndarray,
     depth: np.ndarray,
@@ -52,47 +81,34 @@ def heat_layer(
         (3, n) vertices in the world in m, (3, m) triangles, (3, n) RGB in
         [0, 1]; all with no columns where nothing is above 0.
     """
-    points = camera.unproject(depth)[::step, ::step]
-    shown = values[::step, ::step]
-    filled = (
-        (shown[:-1, :-1] > 0)
-        & (shown[1:, :-1] > 0)
-        & (shown[:-1, 1:] > 0)
-        & (shown[1:, 1:] > 0)
-    )
-    index = np.arange(shown.size).reshape(shown.shape)
-    a, b = index[:-1, :-1][filled], index[:-1, 1:][filled]
-    c, d = index[1:, :-1][filled], index[1:, 1:][filled]
-    faces = np.concatenate([np.stack([a, c, b]), np.stack([b, c, d])], axis=1)
-    used, faces = np.unique(faces, return_inverse=True)
-    faces = faces.reshape(3, -1)
-    return (
-        points.reshape(-1, 3)[used].T,
-        faces.astype(np.int32),
-        heat(shown.reshape(-1)[used]).T,
-    )
+    vertices, faces, pixels = tiles(values > 0, depth, camera, step=step)
+    return vertices, faces, heat(values.reshape(-1)[pixels]).T
 
 
 def mask_outline(
-    mask: np.ndarray, depth: np.ndarray, camera: PinholeCamera
-) -> np.ndarray:
-    """Returns the outline of a mask as line segments over the heap.
+    mask: np.ndarray,
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    *,
+    width: int = 1,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the outline of a mask as a band of triangles over the heap.
+
+    A band, since browsers draw all lines one pixel wide.
 
     Args:
         mask: (H, W) bool.
         depth: (H, W) z-depth that the outline lies on, m.
         camera: of both images.
+        width: of the band inside the mask's edge, and outside it, pixels.
 
     Returns:
-        (2, 3, n) starts and ends of n segments in the world, m.
+        (3, n) vertices in the world in m, (3, m) triangles; both with no
+        columns where the mask is blank.
     """
-    contours, _ = cv2.findContours(
-        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
-    points = camera.unproject(depth)
-    starts, ends = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for contour in contours:
-        line = points[contour[:, 0, 1], contour[:, 0, 0]]
-        starts.append(line)
-        ends.append(np.roll(line, -1, axis=0))
-    return np.stack([np.concatenate(starts).T, np.concatenate(ends).T])
+    size = 2 * width + 1
+    kernel = np.ones((size, size), np.uint8)
+    inside = mask.astype(np.uint8)
+    band = cv2.dilate(inside, kernel) > cv2.erode(inside, kernel)
+    vertices, faces, _ = tiles(band, depth, camera, step=1)
+    return vertices, faces

@@ -1,15 +1,25 @@
 """Draws layers, outlines and grasps into Drake's Meshcat."""
 
+import itertools
+
 import numpy as np
-from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
-from pydrake.math import RigidTransform
+from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatParams, Rgba
+from pydrake.math import RigidTransform, RotationMatrix
 
 from xray_drake.drawing.layers import heat_layer, mask_outline, surface_depth
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Grasp, GraspKind
 
-_YELLOW = Rgba(1.0, 0.9, 0.1, 1.0)
-_CYAN = Rgba(0.0, 0.85, 0.9, 0.9)
+_CHOSEN = Rgba(1.0, 0.0, 0.7, 1.0)
+
+_SRGB_GAMMA = 2.2
+"""Meshcat takes vertex colours as linear light, unlike all its others."""
+
+_OUTLINE_LIFT = 0.002
+"""How far an outline hovers over the layer of colours, m."""
+
+_ROD_RADIUS = 0.002
+"""m."""
 
 
 def start_meshcat(port: int | None = None) -> Meshcat:
@@ -30,7 +40,7 @@ def start_meshcat(port: int | None = None) -> Meshcat:
 def look_at_bin(meshcat: Meshcat) -> None:
     """Sets the camera, and hides what hides the heap."""
     meshcat.SetCameraPose(
-        camera_in_world=[0.15, -0.75, 0.65], target_in_world=[0.1, 0.0, 0.0]
+        camera_in_world=[0.06, -0.33, 0.47], target_in_world=[0.08, 0.03, 0.0]
     )
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
@@ -45,7 +55,7 @@ def draw_occupancy(
     depth: np.ndarray,
     camera: PinholeCamera,
     *,
-    opacity: float = 0.6,
+    opacity: float = 0.8,
 ) -> None:
     """Draws a distribution as a translucent layer on the heap.
 
@@ -62,7 +72,7 @@ def draw_occupancy(
         values, surface_depth(depth, camera), camera
     )
     if faces.shape[1]:
-        meshcat.SetTriangleColorMesh(path, vertices, faces, colors)
+        meshcat.SetTriangleColorMesh(path, vertices, faces, colors**_SRGB_GAMMA)
         meshcat.SetProperty(f"{path}/<object>", "modulated_opacity", opacity)
 
 
@@ -75,9 +85,11 @@ def draw_outline(
 ) -> None:
     """Draws the outline of a mask on the heap; see :func:`draw_occupancy`."""
     meshcat.Delete(path)
-    starts, ends = mask_outline(mask, surface_depth(depth, camera), camera)
-    if starts.shape[1]:
-        meshcat.SetLineSegments(path, starts, ends, 4.0, _YELLOW)
+    vertices, faces = mask_outline(
+        mask, surface_depth(depth, camera) - _OUTLINE_LIFT, camera
+    )
+    if faces.shape[1]:
+        meshcat.SetTriangleMesh(path, vertices, faces, _CHOSEN)
 
 
 def draw_grasp(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
@@ -89,7 +101,7 @@ def draw_grasp(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
     length = 0.06
     if grasp.kind is GraspKind.SUCTION:
         points = np.array([[0, 0, -length], [0, 0, 0]], dtype=float)
-        meshcat.SetObject(f"{path}/cup", Cylinder(0.015, 0.003), _CYAN)
+        meshcat.SetObject(f"{path}/cup", Cylinder(0.015, 0.003), _CHOSEN)
         meshcat.SetTransform(f"{path}/cup", RigidTransform(X))
     else:
         half = grasp.width / 2
@@ -101,5 +113,17 @@ def draw_grasp(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
                 [0, half, 0],
             ]
         )
-    line = (points @ X[:3, :3].T + X[:3, 3]).T
-    meshcat.SetLine(f"{path}/line", line, 6.0, _CYAN)
+    # Not lines: browsers draw them one pixel wide.
+    points = points @ X[:3, :3].T + X[:3, 3]
+    for index, (a, b) in enumerate(itertools.pairwise(points)):
+        along = b - a
+        rod = f"{path}/rod_{index}"
+        meshcat.SetObject(
+            rod, Capsule(_ROD_RADIUS, np.linalg.norm(along)), _CHOSEN
+        )
+        meshcat.SetTransform(
+            rod,
+            RigidTransform(
+                RotationMatrix.MakeFromOneVector(along, 2), (a + b) / 2
+            ),
+        )

@@ -21,18 +21,21 @@ class SearchDrawing:
     """An observer that draws each decision over the heap.
 
     Layers of step k are at ``/search/step_k``: ``occupancy``, ``outline`` of
-    the object chosen, ``grasp``. The layers of the last decision are seen. In
-    a recording each step has paths of its own, since Meshcat animates
-    visibility but not geometry.
+    the object chosen, ``grasp``. The layers of the last decision are seen,
+    live until the action has ended, in a recording until the gripper has
+    arrived: then the heap under them begins to move. Each step has paths of
+    its own, since Meshcat animates visibility but not geometry.
     """
 
-    def __init__(self, meshcat: Meshcat) -> None:
+    def __init__(self, meshcat: Meshcat, *, recording: bool = False) -> None:
         """Clears the layers of an earlier search.
 
         Args:
             meshcat: where to draw.
+            recording: it is recording; otherwise it shows all at once.
         """
         self._meshcat = meshcat
+        self._recording = recording
         self._step = ""
         meshcat.Delete(ROOT)
 
@@ -68,6 +71,9 @@ class SearchDrawing:
         self._meshcat.SetProperty(
             self._step, "visible", True, time_in_recording=time
         )
+        if self._recording:
+            motions = diagram.scenario.gripper.quasi_static
+            self._hide(time + motions.approach_time)
 
     def ended(
         self, diagram: SearchDiagram, context: Context, record: ActionRecord

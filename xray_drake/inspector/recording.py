@@ -33,7 +33,7 @@ def record_search(
             "the diagram has no Meshcat: build it with meshcat=start_meshcat()"
         )
     look_at_bin(meshcat)
-    drawing = SearchDrawing(meshcat)
+    drawing = SearchDrawing(meshcat, recording=True)
     meshcat.StartRecording(
         frames_per_second=1 / diagram.scenario.visualization.publish_period,
         set_visualizations_while_recording=False,

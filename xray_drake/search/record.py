@@ -145,6 +145,11 @@ def write_whole(path: Path, text: str) -> None:
         OSError: it cannot be written (no such folder, a full disk); what was
             there before is untouched.
     """
+    if path.exists() and not path.is_file():
+        # A device or a pipe is written to; replacing it would destroy it.
+        path.write_text(text, encoding="utf-8")
+        return
+    path = path.resolve()
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with temporary.open("w", encoding="utf-8") as file:
