@@ -1,5 +1,6 @@
 import itertools
 import json
+import os
 import re
 import resource
 import signal
@@ -248,6 +249,25 @@ def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         write_whole(tmp_path, "over a folder")
     assert [p.name for p in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_links_are_followed_and_pipes_are_written_to(tmp_path: Path) -> None:
+    real, link = tmp_path / "real.json", tmp_path / "link.json"
+    real.write_text("old", encoding="utf-8")
+    link.symlink_to(real)
+    write_whole(link, "new")
+    assert link.is_symlink()
+    assert real.read_text(encoding="utf-8") == "new"
+
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        write_whole(pipe, "through")
+        assert pipe.is_fifo()
+        assert os.read(reader, 100) == b"through"
+    finally:
+        os.close(reader)
 
 
 def test_a_full_disk_is_one_line(small: Path, tmp_path: Path) -> None:

@@ -198,46 +198,64 @@ def blobs(seed: int, shape: tuple[int, int]) -> np.ndarray:
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000), camera=st.sampled_from(CAMERAS))
-def test_the_outline_encloses_the_mask(
-    seed: int, camera: PinholeCamera
+@given(
+    seed=st.integers(0, 10_000),
+    camera=st.sampled_from(CAMERAS),
+    width=st.integers(1, 2),
+)
+def test_the_outline_is_a_band_around_the_mask(
+    seed: int, camera: PinholeCamera, width: int
 ) -> None:
     mask = blobs(seed, camera.shape)
     depth = np.random.default_rng(seed).uniform(0.5, 0.8, camera.shape)
-    starts, ends = mask_outline(mask, depth, camera)
-    projected = np.stack([camera.project(p.T) for p in (starts, ends)])
-    pixels = np.rint(projected[..., :2]).astype(int)
-    np.testing.assert_allclose(projected[..., :2], pixels, atol=1e-6)
-    u, v = pixels[..., 0], pixels[..., 1]
-    # On the surface, on the mask, from pixel to neighbouring pixel.
-    np.testing.assert_allclose(projected[..., 2], depth[v, u])
-    assert mask[v, u].all()
-    assert np.abs(pixels[1] - pixels[0]).max(initial=0) <= 1
-    # Closed loops: what is left is entered as often.
-    assert sorted(map(tuple, pixels[0])) == sorted(map(tuple, pixels[1]))
-    # What the line has walked round is the mask: no way in from outside
-    # but through the line.
-    walls = np.zeros(camera.shape, np.uint8)
-    walls[v, u] = 1
-    outside = np.pad(walls, 1)
-    cv2.floodFill(outside, None, (0, 0), 2, flags=4)
-    np.testing.assert_array_equal(outside[1:-1, 1:-1] != 2, mask)
+    vertices, faces = mask_outline(mask, depth, camera, width=width)
+    projected = camera.project(vertices.T)
+    pixels = np.rint(projected[:, :2]).astype(int)
+    np.testing.assert_allclose(projected[:, :2], pixels, atol=1e-6)
+    u, v = pixels.T
+    np.testing.assert_allclose(projected[:, 2], depth[v, u])
+
+    # Within so many pixels of the mask's edge, on either side ...
+    ring = np.zeros(camera.shape, bool)
+    for j, i in np.ndindex(camera.shape):
+        near = mask[
+            max(j - width, 0) : j + width + 1, max(i - width, 0) : i + width + 1
+        ]
+        ring[j, i] = near.any() and not near.all()
+    assert ring[v, u].all()
+    # ... and where four neighbours are, all of it.
+    band = np.zeros(camera.shape, np.uint8)
+    band[v, u] = 1
+    tile = ring[:-1, :-1] & ring[1:, :-1] & ring[:-1, 1:] & ring[1:, 1:]
+    expected = np.zeros(camera.shape, bool)
+    for part in (
+        expected[:-1, :-1],
+        expected[1:, :-1],
+        expected[:-1, 1:],
+        expected[1:, 1:],
+    ):
+        part |= tile
+    np.testing.assert_array_equal(band > 0, expected)
+    assert faces.shape[0] == 3
+    assert set(faces.ravel()) == set(range(vertices.shape[1]))
 
 
-def test_a_hole_has_no_outline_of_its_own() -> None:
+def test_the_band_of_a_disc_is_closed() -> None:
     camera = CAMERAS[0]
-    depth = np.full(camera.shape, 0.7)
-    disc = np.zeros(camera.shape, bool)
-    disc[3:14, 4:18] = True
-    ring = disc.copy()
-    ring[6:11, 8:14] = False
-    np.testing.assert_array_equal(
-        mask_outline(ring, depth, camera), mask_outline(disc, depth, camera)
-    )
+    mask = np.zeros(camera.shape, np.uint8)
+    cv2.circle(mask, (12, 9), 6, 1, cv2.FILLED)
+    vertices, _ = mask_outline(mask > 0, np.full(camera.shape, 0.7), camera)
+    u, v = np.rint(camera.project(vertices.T)[:, :2]).astype(int).T
+    outside = np.zeros(camera.shape, np.uint8)
+    outside[v, u] = 1
+    cv2.floodFill(outside, None, (0, 0), 2, flags=4)
+    # From outside, no way leads to the disc's middle.
+    assert outside[0, 23] == outside[17, 0] == 2
+    assert outside[9, 12] == 0
 
 
 def test_a_blank_mask_has_no_outline() -> None:
     camera = CAMERAS[0]
     mask = np.zeros(camera.shape, bool)
-    outline = mask_outline(mask, np.full(camera.shape, 0.7), camera)
-    assert outline.shape == (2, 3, 0)
+    vertices, faces = mask_outline(mask, np.full(camera.shape, 0.7), camera)
+    assert vertices.shape == faces.shape == (3, 0)

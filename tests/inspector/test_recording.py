@@ -37,14 +37,17 @@ def messages(page: str) -> list[dict]:
 
 
 def tracks(page: str) -> dict[tuple[str, str], list[dict]]:
-    """Returns the keys of the animation by path and property."""
+    """Returns the keys of the animation by path and property; times in s."""
     (animation,) = [
         message
         for message in messages(page)
         if message.get("type") == "set_animation"
     ]
     return {
-        (item["path"], track["name"]): track["keys"]
+        (item["path"], track["name"]): [
+            key | {"time": key["time"] / item["clip"]["fps"]}
+            for key in track["keys"]
+        ]
         for item in animation["animations"]
         for track in item["clip"]["tracks"]
     }
@@ -65,9 +68,12 @@ def test_the_page_shows_each_decision_in_its_time(
         keys = animated[path, ".visible"]
         shown = [key["time"] for key in keys if key["value"]]
         hidden = [key["time"] for key in keys if not key["value"]]
-        # Once it appears, once it goes, and before that it is not there.
+        # Once it appears, it goes when the gripper has arrived, and before
+        # that it is not there.
         assert len(shown) == 1
-        assert max(hidden) > shown[0]
+        arrival = shown[0] + scenario().gripper.quasi_static.approach_time
+        gone = min(time for time in hidden if time > shown[0])
+        assert gone == pytest.approx(arrival, abs=0.05)
         if step > 1:
             assert min(hidden) == 0
             assert shown[0] >= ends[-1]

@@ -14,7 +14,7 @@ from xray_drake.search import diagram as module
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
-from xray_drake.station.scenario import POLICIES, Scenario, dump_scenario
+from xray_drake.station.scenario import POLICIES, Scenario
 
 
 class Recorder:
@@ -112,13 +112,3 @@ def test_the_systems_are_built_alike(
         assert policy["target_first"] is True
         assert policy["min_visible_pixels"] == 50
         assert policy["bodies"] == gripper["bodies"]
-
-
-def test_by_default_they_differ_in_name_only() -> None:
-    dumps = set()
-    for name in POLICIES:
-        scenario = Scenario()
-        scenario.policy.name = name
-        text = dump_scenario(scenario)
-        dumps.add(text.replace("policy:\n  name: " + name, "").strip("{}\n "))
-    assert dumps == {""}

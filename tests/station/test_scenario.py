@@ -89,6 +89,12 @@ def test_settings_deep_inside() -> None:
     assert scenario.plant_config.stiction_tolerance == 1e-4
 
 
+@todo("to PyYAML, 1e-3 is a string")
+def test_a_number_in_scientific_notation() -> None:
+    scenario = parse_scenario("scene: {heap: {rest_motion: 1e-3}}", SOURCE)
+    assert scenario.scene.heap.rest_motion == 1e-3
+
+
 def test_scenarios_share_nothing() -> None:
     first, second = Scenario(), Scenario()
     first.scene.heap.offset_sigma = 9.0
@@ -192,7 +198,7 @@ def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
         ),
         pytest.param(
             "camera: {width: 0}",
-            ["camera", "width"],
+            ["camera", "Width (0)"],
             marks=todo("found out, in three lines, when it is built"),
         ),
         pytest.param(

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from xray_drake import __version__
+from xray_drake.cli.exits import BAD_INPUT, FAILED, INTERRUPTED
 
 app = typer.Typer(
     name="xray-drake",
@@ -20,10 +21,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-
-BAD_INPUT = 2
-FAILED = 1
-INTERRUPTED = 130
 
 
 def _version(value: bool) -> None:

@@ -16,7 +16,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from xray_drake.cli.main import INTERRUPTED
+from xray_drake.cli.exits import INTERRUPTED
 from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
 from xray_drake.inspector.recording import record_search, write_html
 from xray_drake.inspector.session import InteractiveSearch

@@ -6,7 +6,7 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 
 _SHIFT = 8
-_SUBSAMPLES = 5
+_SUBSAMPLES = 15
 
 
 def facing_triangles(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ def project_mesh_mask(
 
     Returns:
         (H, W) bool, true where the ray through a pixel's centre meets the
-        mesh, to a tenth of a pixel.
+        mesh, to a thirtieth of a pixel.
 
     Raises:
         ValueError: a vertex lies behind the camera.

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -15,6 +14,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import (
     Grasp,
     GripperMode,
@@ -29,19 +29,6 @@ from xray_drake.messages import (
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.ranking import Ranking, SearchView, candidates, order
 from xray_drake.seeding import stream
-
-
-class Planner(Protocol):
-    """Finds a grasp on one object."""
-
-    def plan(
-        self,
-        object_name: str,
-        poses: Mapping[str, np.ndarray],
-        *,
-        excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
-        """Returns the best grasp, or one of kind NONE; see the planners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +66,7 @@ class SearchPolicy(LeafSystem):
         self,
         *,
         ranking: Ranking,
-        planner: Planner,
+        planner: GraspPlanner,
         bodies: Mapping[str, int],
         target_first: bool = True,
         min_visible_pixels: int = 50,

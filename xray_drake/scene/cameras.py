@@ -16,8 +16,18 @@ from pydrake.systems.sensors import CameraConfig, RgbdSensor
 from xray_drake.geometry.camera import PinholeCamera
 
 
+_PIXEL_CENTER = 0.5
+"""In the images that RenderEngineVtk draws, pixel i spans [i, i + 1] of the
+config's coordinates: its centre is at i + 0.5. (Measured on Drake 1.51.1 and
+1.58.0: masks lie half a pixel up and left of what the config's principal point
+says of pixels with centres at integers.)"""
+
+
 def pinhole_camera(config: CameraConfig) -> PinholeCamera:
     """Returns the camera that a config describes.
+
+    Its pixel centres are at integers, so its principal point is half a pixel
+    less than the config's.
 
     Raises:
         ValueError: the camera is not fixed to the world.
@@ -31,10 +41,12 @@ def pinhole_camera(config: CameraConfig) -> PinholeCamera:
     color, _ = config.MakeCameras()
     X_WB = RigidTransform(config.X_PB.GetDeterministicValue())
     X_BC = color.core().sensor_pose_in_camera_body()
+    K = np.array(color.core().intrinsics().intrinsic_matrix())
+    K[:2, 2] -= _PIXEL_CENTER
     return PinholeCamera(
         width=config.width,
         height=config.height,
-        intrinsics=color.core().intrinsics().intrinsic_matrix(),
+        intrinsics=K,
         X_WC=(X_WB @ X_BC).GetAsMatrix4(),
     )
 
