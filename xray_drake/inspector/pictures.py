@@ -83,5 +83,5 @@ def main(folder: Path, seed: int) -> None:
 if __name__ == "__main__":
     main(
         models_dir() / "pictures",
-        int(sys.argv[1]) if len(sys.argv) > 1 else 10002,
+        int(sys.argv[1]) if len(sys.argv) > 1 else 10008,
     )

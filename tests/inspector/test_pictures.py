@@ -1,0 +1,47 @@
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from xray_drake.inspector.pictures import diagram_picture, heap_picture
+from xray_drake.search.diagram import SearchDiagram
+
+
+def test_the_heap_the_distribution_and_the_choice(
+    tiny_diagram: SearchDiagram,
+) -> None:
+    picture = heap_picture(tiny_diagram)
+    assert picture.shape == (384, 3 * 512, 3)
+    assert picture.dtype == np.uint8
+    color, occupancy, chosen = np.split(picture, 3, axis=1)
+
+    context = tiny_diagram.CreateDefaultContext()
+
+    def look(port: str):
+        return tiny_diagram.GetOutputPort(port).Eval(context)
+
+    rendered = look("overhead.color_image").data[:, :, :3]
+    np.testing.assert_array_equal(color, rendered)
+    # Coloured where the target can be, and nowhere else.
+    rho = look("occupancy_inference.occupancy").data
+    changed = (occupancy != color).any(axis=2)
+    assert not changed[rho == 0].any()
+    assert changed[rho > 0].mean() > 0.9
+    # A line round something that is grasped: one closed outline.
+    line = (chosen != color).any(axis=2)
+    assert line.any()
+    assert (chosen[line] == chosen[line][0]).all()
+    parts, _ = cv2.connectedComponents(line.astype(np.uint8))
+    holes, _ = cv2.connectedComponents((~line).astype(np.uint8), connectivity=4)
+    assert (parts - 1, holes - 1) == (1, 2)
+
+
+@pytest.mark.skipif(not shutil.which("dot"), reason="graphviz is missing")
+def test_the_diagram(tiny_diagram: SearchDiagram, tmp_path: Path) -> None:
+    path = tmp_path / "diagram.png"
+    diagram_picture(tiny_diagram, path)
+    image = cv2.imread(str(path))
+    assert image.shape[1] > image.shape[0] > 100
+    assert image.std() > 10
