@@ -546,11 +546,6 @@ def test_it_does_not_wait_for_ever() -> None:
     assert cell.status.outcome is Outcome.LIFTED
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=ValueError,
-    reason="waiting for no other object concatenates nothing",
-)
 def test_an_object_alone_in_the_bin() -> None:
     cell = Cell(Judge(), {"brick": on_floor(0.05, 0.02)}, brick())
     way = cell.run(take("brick"))

@@ -80,7 +80,7 @@ def test_buttons_drive_the_search(meshcat: Meshcat, scenario: Scenario) -> None:
     click(meshcat, "run")
     until_idle(session)
     assert told[-1] == ("ended", 2)
-    assert first.end == "horizon"
+    assert first.end in {"horizon", "success"}
     # After the end these do nothing.
     for name in ("step", "run"):
         click(meshcat, name)

@@ -210,9 +210,6 @@ def test_exactly_those_asked_for_sleep(tower: Cubes) -> None:
     assert tower.locked() == tower.sleeper.asleep == set()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the sleeper takes a new context for the old one"
-)
 def test_in_another_context_nobody_sleeps_yet(tower: Cubes) -> None:
     """As after ``Simulator.reset_context``."""
     tower.sleep("flying")

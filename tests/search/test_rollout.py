@@ -310,9 +310,6 @@ def test_ctrl_c_keeps_the_record(
     assert second["object"]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="run_search overwrites the end that was reached"
-)
 def test_ctrl_c_after_the_end_does_not_undo_it(
     tiny_scenario: Scenario, tiny_heap: Heap
 ) -> None:
@@ -342,11 +339,6 @@ def test_an_observers_own_error_is_not_swallowed(
         run_search(tiny_diagram, observers=(Watcher(decided=fail),))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="the new monitor's sleeper does not know whom the old one put to "
-    "sleep: they never wake",
-)
 def test_a_monitor_can_be_attached_on_the_way(
     tiny_diagram: SearchDiagram,
 ) -> None:
@@ -357,3 +349,17 @@ def test_a_monitor_can_be_attached_on_the_way(
     monitor = attach_monitor(simulator, tiny_diagram)
     simulator.AdvanceTo(5.0)
     assert monitor.record.actions[0].outcome is Outcome.LIFTED
+
+
+def test_two_simulations_of_one_diagram_by_turns(
+    found: SearchRecord, tiny_diagram: SearchDiagram
+) -> None:
+    """As when a notebook steps one by hand and runs another in between."""
+    simulator = Simulator(tiny_diagram)
+    monitor = attach_monitor(simulator, tiny_diagram)
+    simulator.AdvanceTo(0.3)
+    between = Simulator(tiny_diagram)
+    attach_monitor(between, tiny_diagram)
+    between.AdvanceTo(1.0)
+    simulator.AdvanceTo(30.0)
+    assert stripped(monitor.record) == stripped(found)

@@ -107,8 +107,12 @@ def containment(
         Share of the heaps in which that much, and in which all of the mask
         lay in the support.
     """
-    first = {r["seed"]: r["actions"][0] for r in records if r.get("actions")}
-    inside = np.array([a["true_mask_in_support"] for a in first.values()])
+    first = {
+        r["seed"]: r["actions"][0].get("true_mask_in_support")
+        for r in records
+        if r.get("actions")
+    }
+    inside = np.array([share for share in first.values() if share is not None])
     if not inside.size:
         return float("nan"), float("nan")
     return float(np.mean(inside >= share)), float(np.mean(inside >= 1.0))

@@ -112,6 +112,10 @@ def run(options: SearchOptions, console: Console) -> int:
     """
     scenario = configure(options.scenario, options.overrides)
     for path in (options.json, options.html):
+        if path is not None and path.is_dir():
+            raise ScenarioError(
+                f"cannot write {path}: it is a folder; name a file in it"
+            )
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(
                 f"cannot write {path}: the folder "
@@ -149,7 +153,8 @@ def _run_live(
         )
     meshcat = start_meshcat()
     console.print(
-        f"open {meshcat.web_url()} and press run, step or new heap; "
+        f"open {meshcat.web_url()} and press run, step or new heap "
+        "(under Open Controls); "
         "Ctrl-C here ends it"
     )
     session = InteractiveSearch(scenario, meshcat, observers=(narrator,))
@@ -173,6 +178,7 @@ def _drop(scenario: Scenario, console: Console) -> Heap:
         TimeRemainingColumn(),
         console=console,
         transient=True,
+        disable=not console.is_terminal,
     ) as bars:
         task = bars.add_task(f"dropping {count} objects", total=1.0)
         heap = make_heap(
@@ -193,14 +199,21 @@ def _summarize(
     table = Table(title=f"{record.policy} on seed {record.seed}")
     for column in ("end", "actions", "hidden at the start", "support"):
         table.add_column(column)
-    start = record.start.get("target_visible_fraction", 0.0)
+    start = record.start.get("target_visible_fraction")
+    hidden = (
+        "unknown"
+        if start is None
+        else "wholly"
+        if start == 0
+        else f"{1 - start:.0%}"
+    )
     supports = [a.support_before for a in record.actions]
     if record.actions and record.actions[-1].support_after >= 0:
         supports.append(record.actions[-1].support_after)
     table.add_row(
         record.end or "not ended",
         f"{record.num_actions} of {record.horizon}",
-        "wholly" if start == 0 else f"{1 - start:.0%}",
+        hidden,
         " → ".join(map(str, supports)),
     )
     console.print(table)

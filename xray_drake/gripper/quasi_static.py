@@ -503,7 +503,8 @@ class QuasiStaticGripper(LeafSystem):
         self, motion: _Motion, poses: dict[str, np.ndarray], time: float
     ) -> _Motion:
         corners = [box_corners(self._models[n], X) for n, X in poses.items()]
-        rest = motion.rest.update(time, np.concatenate(corners))
+        points = np.concatenate([np.zeros((0, 3)), *corners])
+        rest = motion.rest.update(time, points)
         return motion if rest is motion.rest else replace(motion, rest=rest)
 
     def _is_quiet(self, motion: _Motion, time: float) -> bool:

@@ -84,7 +84,7 @@ class InteractiveSearch:
     def new_heap(self, seed: int) -> None:
         """Drops a heap and waits for a button."""
         self._scenario = replace(self._scenario, seed=seed)
-        self._simulator = None
+        self._simulator = self._monitor = None
         self._meshcat.Delete()
         diagram = build_search_diagram(
             self._scenario, meshcat=self._meshcat, progress=self._progress

@@ -15,7 +15,6 @@ from pydrake.systems.sensors import CameraConfig, RgbdSensor
 
 from xray_drake.geometry.camera import PinholeCamera
 
-
 _PIXEL_CENTER = 0.5
 """In the images that RenderEngineVtk draws, pixel i spans [i, i + 1] of the
 config's coordinates: its centre is at i + 0.5. (Measured on Drake 1.51.1 and
@@ -51,6 +50,19 @@ def pinhole_camera(config: CameraConfig) -> PinholeCamera:
     )
 
 
+def check_renderer(config: CameraConfig) -> None:
+    """Checks that a camera's render engine is one that is supported.
+
+    Raises:
+        ValueError: it is not RenderEngineVtk.
+    """
+    if config.renderer_class not in ("", "RenderEngineVtk"):
+        raise ValueError(
+            f"camera {config.name!r} asks for {config.renderer_class!r}: "
+            "only RenderEngineVtk runs without a display"
+        )
+
+
 def add_renderer(scene_graph: SceneGraph, config: CameraConfig) -> None:
     """Adds the render engine that a camera asks for, once.
 
@@ -59,11 +71,7 @@ def add_renderer(scene_graph: SceneGraph, config: CameraConfig) -> None:
     Raises:
         ValueError: the engine is not RenderEngineVtk.
     """
-    if config.renderer_class not in ("", "RenderEngineVtk"):
-        raise ValueError(
-            f"camera {config.name!r} asks for {config.renderer_class!r}: "
-            "only RenderEngineVtk runs without a display"
-        )
+    check_renderer(config)
     if not scene_graph.HasRenderer(config.renderer_name):
         color = config.background
         scene_graph.AddRenderer(

@@ -74,9 +74,10 @@ class Sleeper:
             KeyError: an object that the sleeper does not know.
         """
         wanted = frozenset(names)
+        context = self._plant.GetMyMutableContextFromRoot(root)
+        self._recall(context)
         if wanted == self._asleep:
             return
-        context = self._plant.GetMyMutableContextFromRoot(root)
         for name in wanted - self._asleep:
             joint = self._objects[name].joint
             joint.set_angular_velocity(context, np.zeros(3))
@@ -87,6 +88,16 @@ class Sleeper:
         for name in self._asleep - wanted:
             self._objects[name].joint.Unlock(context)
         self._asleep = wanted
+
+    def _recall(self, context: Context) -> None:
+        """Forgets who slept in another context, as after a reset.
+
+        One joint tells: in a new context none is locked.
+        """
+        for name in self._asleep:
+            if not self._objects[name].joint.is_locked(context):
+                self._asleep, self._filter = frozenset(), None
+            return
 
     def _renew_filter(self, root: Context, names: frozenset[str]) -> None:
         context = self._scene_graph.GetMyMutableContextFromRoot(root)

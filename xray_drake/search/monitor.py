@@ -16,7 +16,6 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin
-from xray_drake.scene.sleep import Sleeper
 from xray_drake.search.diagram import SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
 
@@ -70,11 +69,6 @@ class SearchMonitor:
         self._occupancy = diagram.GetOutputPort("occupancy_inference.occupancy")
         self._poses = diagram.GetOutputPort("cheat.body_poses")
         self._camera = diagram.GetOutputPort(f"{scenario.camera.name}.camera")
-        self._sleeper = Sleeper(
-            diagram.station.plant,
-            diagram.station.scene_graph,
-            diagram.station.objects.values(),
-        )
         self._removed: set[str] = set()
         self._decided = 0
         self.record = SearchRecord(
@@ -125,7 +119,9 @@ class SearchMonitor:
         """Lets the heap sleep unless an object is being drawn out of it."""
         objects = self._diagram.station.objects.keys()
         asleep = self._removed if status.stirring else objects
-        self._sleeper.set_asleep(root_context, asleep - set(status.loose))
+        self._diagram.sleeper.set_asleep(
+            root_context, asleep - set(status.loose)
+        )
 
     def _termination(self) -> EventStatus:
         return EventStatus.ReachedTermination(

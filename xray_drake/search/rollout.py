@@ -62,5 +62,5 @@ def run_search(
                 )
             simulator.AdvanceTo(time + _SLICE)
     except KeyboardInterrupt:
-        record.end = "interrupted"
+        record.end = record.end or "interrupted"
     return record

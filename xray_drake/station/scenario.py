@@ -2,6 +2,8 @@
 
 import dataclasses
 import difflib
+import operator
+import re
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +23,7 @@ from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
 from xray_drake.resources import models_dir
+from xray_drake.scene.cameras import check_renderer, pinhole_camera
 from xray_drake.scene.heap import HeapConfig
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.scene.targets import TARGET_NAMES
@@ -31,6 +34,10 @@ OCCUPANCIES = ("exact",)
 POLICIES = ("xray", "largest", "random")
 GRASPS = ("models",)
 EXECUTIONS = ("quasi_static",)
+
+
+MOST_OBJECTS = 100
+"""Distractors that a scenario may ask for."""
 
 
 class ScenarioError(ValueError):
@@ -211,7 +218,7 @@ def parse_scenario(text: str, source: str) -> Scenario:
     try:
         scenario = yaml_load_typed(
             schema=Scenario,
-            data=yaml.dump(tree),
+            data=text if tree else "{}",
             defaults=Scenario(),
         )
     except Exception as error:
@@ -227,7 +234,17 @@ def dump_scenario(scenario: Scenario) -> str:
     Defaults are left out, since Drake's own configs gain and lose fields from
     version to version.
     """
-    return yaml_dump_typed(scenario, schema=Scenario, defaults=Scenario())
+    defaults = Scenario()
+    rotation = scenario.camera.X_PB.rotation
+    nominal = defaults.camera.X_PB.rotation
+    if yaml_dump_typed(rotation) != yaml_dump_typed(nominal):
+        # Beside a default with the same tag, the writer drops the tag.
+        defaults.camera.X_PB.rotation = Rotation(
+            value=Rotation.AngleAxis()
+            if not isinstance(rotation.value, Rotation.AngleAxis)
+            else Rotation.Identity()
+        )
+    return yaml_dump_typed(scenario, schema=Scenario, defaults=defaults)
 
 
 def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
@@ -250,20 +267,43 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
                 f"{source}: {key} is {value!r}: choose one of "
                 f"{', '.join(choices)}"
             )
-    for key, number in (
-        ("scene.num_objects", scenario.scene.num_objects),
-        ("horizon", scenario.horizon),
+    for key, number, most in (
+        ("scene.num_objects", scenario.scene.num_objects, MOST_OBJECTS),
+        ("horizon", scenario.horizon, None),
     ):
         if number < 1:
             raise ScenarioError(
                 f"{source}: {key} is {number}: it must be at least 1"
             )
+        if most is not None and number > most:
+            raise ScenarioError(
+                f"{source}: {key} is {number}: more than {most} do not fit "
+                "into the bin"
+            )
+    for path in _MUST_BE_POSITIVE:
+        value = operator.attrgetter(path)(scenario)
+        if not value > 0:
+            raise ScenarioError(
+                f"{source}: {path} is {value}: it must be above 0"
+            )
+    _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
     if scenario.seed < 0:
         raise ScenarioError(
             f"{source}: seed is {scenario.seed}: it must not be negative"
         )
 
+
+_MUST_BE_POSITIVE = (
+    "camera.width",
+    "camera.height",
+    "scene.heap.drop_period",
+    "scene.heap.max_attempts",
+    "scene.heap.rest_round",
+    "gripper.quasi_static.approach_time",
+    "gripper.quasi_static.speed",
+    "visualization.publish_period",
+)
 
 _SCALARS: dict[type, tuple[type, ...]] = {
     int: (int,),
@@ -275,6 +315,21 @@ _SCALARS: dict[type, tuple[type, ...]] = {
 
 class _StrictLoader(yaml.SafeLoader):
     """Rejects duplicate keys, which YAML readers accept silently."""
+
+    # YAML 1.2's numbers: to PyYAML, 1e-3 is a string.
+    yaml_implicit_resolvers: typing.ClassVar = {
+        **yaml.SafeLoader.yaml_implicit_resolvers,
+        **{
+            first: [
+                *yaml.SafeLoader.yaml_implicit_resolvers.get(first, []),
+                (
+                    "tag:yaml.org,2002:float",
+                    re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
+                ),
+            ]
+            for first in "-+.0123456789"
+        },
+    }
 
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
@@ -288,6 +343,27 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+def _construct_tagged(loader: _StrictLoader, tag: str, node: yaml.Node) -> dict:
+    """Reads ``!Rpy {…}`` as what stands in the braces: tags are Drake's."""
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(
+            None, None, f"!{tag} must tag keys and values", node.start_mark
+        )
+    return loader.construct_mapping(node, deep=True)
+
+
+_StrictLoader.add_multi_constructor("!", _construct_tagged)
+
+
+def _check_camera(config: CameraConfig, source: str) -> None:
+    try:
+        check_renderer(config)
+        pinhole_camera(config)
+    except (RuntimeError, ValueError) as error:
+        message = " ".join(str(error).split())
+        raise ScenarioError(f"{source}: camera: {message}") from error
+
+
 def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
     try:
         AddMultibodyPlant(config=config, builder=DiagramBuilder())
@@ -298,18 +374,40 @@ def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
 
 def _check_keys(tree: dict, schema: type, source: str, prefix: str) -> None:
     """Names an unknown key with its path; Drake's reader names it alone."""
-    hints = typing.get_type_hints(schema)
-    fields = {f.name: hints[f.name] for f in dataclasses.fields(schema)}
+    fields = _fields(schema)
     for key, value in tree.items():
+        path = f"{prefix}{key}"
         if key not in fields:
             near = difflib.get_close_matches(str(key), fields, 1)
             hint = f"; did you mean {prefix}{near[0]}?" if near else ""
-            raise ScenarioError(f"{source}: unknown key {prefix}{key}{hint}")
-        kinds = _SCALARS.get(fields[key])
-        if kinds and not isinstance(value, kinds):
-            raise ScenarioError(
-                f"{source}: {prefix}{key} is {value!r}: it must be of type "
-                f"{fields[key].__name__}"
-            )
-        if dataclasses.is_dataclass(fields[key]) and isinstance(value, dict):
-            _check_keys(value, fields[key], source, f"{prefix}{key}.")
+            raise ScenarioError(f"{source}: unknown key {path}{hint}")
+        kind = fields[key]
+        if dataclasses.is_dataclass(kind) or hasattr(kind, "__fields__"):
+            if not isinstance(value, dict):
+                raise ScenarioError(
+                    f"{source}: {path} is {value!r}: it must be keys and values"
+                )
+            _check_keys(value, kind, source, f"{path}.")
+        elif typing.get_origin(kind) is list:
+            if not isinstance(value, list):
+                raise ScenarioError(
+                    f"{source}: {path} is {value!r}: it must be a list"
+                )
+        elif kind in _SCALARS:
+            wrong = isinstance(value, bool) and kind is not bool
+            if wrong or not isinstance(value, _SCALARS[kind]):
+                raise ScenarioError(
+                    f"{source}: {path} is {value!r}: it must be of type "
+                    f"{kind.__name__}"
+                )
+
+
+def _fields(schema: type) -> dict[str, typing.Any]:
+    """Returns the fields of a dataclass or of one of Drake's configs.
+
+    The types of the latter are not all known to Python: None stands for them.
+    """
+    if dataclasses.is_dataclass(schema):
+        hints = typing.get_type_hints(schema)
+        return {f.name: hints[f.name] for f in dataclasses.fields(schema)}
+    return {f.name: None for f in schema.__fields__}  # type: ignore[attr-defined]
