@@ -199,15 +199,21 @@ def test_contacts_among_sleepers_are_not_even_looked_for(
 
 
 def test_exactly_those_asked_for_sleep(tower: Cubes) -> None:
-    assert tower.locked() == tower.sleeper.asleep == set()
+    assert tower.locked() == tower.sleeper.asleep(tower.root) == set()
     tower.sleep("lower", "upper")
-    assert tower.locked() == tower.sleeper.asleep == {"lower", "upper"}
+    assert (
+        tower.locked() == tower.sleeper.asleep(tower.root) == {"lower", "upper"}
+    )
     tower.sleep("upper", "flying")
-    assert tower.locked() == tower.sleeper.asleep == {"upper", "flying"}
+    assert (
+        tower.locked()
+        == tower.sleeper.asleep(tower.root)
+        == {"upper", "flying"}
+    )
     tower.sleep("flying", "upper")
     assert tower.locked() == {"upper", "flying"}
     tower.sleep()
-    assert tower.locked() == tower.sleeper.asleep == set()
+    assert tower.locked() == tower.sleeper.asleep(tower.root) == set()
 
 
 def test_in_another_context_nobody_sleeps_yet(tower: Cubes) -> None:
@@ -222,4 +228,4 @@ def test_in_another_context_nobody_sleeps_yet(tower: Cubes) -> None:
 def test_an_unknown_sleeper(tower: Cubes) -> None:
     with pytest.raises(KeyError, match="nobody"):
         tower.sleep("nobody")
-    assert tower.sleeper.asleep == set()
+    assert tower.sleeper.asleep(tower.root) == set()

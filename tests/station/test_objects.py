@@ -58,9 +58,6 @@ def test_few_meshes_come_again_under_other_names(tmp_path: Path) -> None:
     assert all(model.name.startswith("toys/duck") for model in models)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the second folder's object replaces the first's"
-)
 def test_two_folders_of_one_name_add_up_too(tmp_path: Path) -> None:
     one = folder_of_boxes(tmp_path / "one" / "toys", "duck")
     two = folder_of_boxes(tmp_path / "two" / "toys", "duck", "duck2")

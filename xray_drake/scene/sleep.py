@@ -23,7 +23,8 @@ class Sleeper:
     the fixed ones are filtered out, so that they cost nothing. It does not
     wake by itself when it is touched: who moves something near it wakes it
     first. Works on the context of a running simulation, so from a monitor or
-    between two ``AdvanceTo``, never from within a system of the diagram.
+    between two ``AdvanceTo``, never from within a system of the diagram. Who
+    sleeps is part of the context: one sleeper serves many simulations.
 
     The fixed bodies must be welded bodies, not the world body: see
     :func:`xray_drake.scene.plant.add_bin`.
@@ -55,13 +56,16 @@ class Sleeper:
                 plant.GetBodyByName(name)
             )
         ]
-        self._filter: FilterId | None = None
-        self._asleep: frozenset[str] = frozenset()
+        self._filters: set[FilterId] = set()
 
-    @property
-    def asleep(self) -> frozenset[str]:
-        """Names of the bodies that sleep."""
-        return self._asleep
+    def asleep(self, root: Context) -> frozenset[str]:
+        """Returns the names of the bodies that sleep in a root context."""
+        context = self._plant.GetMyContextFromRoot(root)
+        return frozenset(
+            name
+            for name, item in self._objects.items()
+            if item.joint.is_locked(context)
+        )
 
     def set_asleep(self, root: Context, names: Iterable[str]) -> None:
         """Lets exactly these bodies sleep and wakes all others.
@@ -73,46 +77,36 @@ class Sleeper:
         Raises:
             KeyError: an object that the sleeper does not know.
         """
-        wanted = frozenset(names)
-        context = self._plant.GetMyMutableContextFromRoot(root)
-        self._recall(context)
-        if wanted == self._asleep:
+        wanted, asleep = frozenset(names), self.asleep(root)
+        if wanted == asleep:
             return
-        for name in wanted - self._asleep:
+        context = self._plant.GetMyMutableContextFromRoot(root)
+        for name in wanted - asleep:
             joint = self._objects[name].joint
             joint.set_angular_velocity(context, np.zeros(3))
             joint.set_translational_velocity(context, np.zeros(3))
             joint.Lock(context)
         # Contacts come back before a body is free to fall.
         self._renew_filter(root, wanted)
-        for name in self._asleep - wanted:
+        for name in asleep - wanted:
             self._objects[name].joint.Unlock(context)
-        self._asleep = wanted
-
-    def _recall(self, context: Context) -> None:
-        """Forgets who slept in another context, as after a reset.
-
-        One joint tells: in a new context none is locked.
-        """
-        for name in self._asleep:
-            if not self._objects[name].joint.is_locked(context):
-                self._asleep, self._filter = frozenset(), None
-            return
 
     def _renew_filter(self, root: Context, names: frozenset[str]) -> None:
         context = self._scene_graph.GetMyMutableContextFromRoot(root)
         manager = self._scene_graph.collision_filter_manager(context)
-        if self._filter is not None:
-            manager.RemoveDeclaration(self._filter)
-            self._filter = None
+        for old in [f for f in self._filters if manager.IsActive(f)]:
+            manager.RemoveDeclaration(old)
+            self._filters.remove(old)
         if names:
             geometries: list[GeometryId] = list(self._fixed)
             for name in names:
                 geometries += self._plant.GetCollisionGeometriesForBody(
                     self._objects[name].body
                 )
-            self._filter = manager.ApplyTransient(
-                CollisionFilterDeclaration().ExcludeWithin(
-                    GeometrySet(geometries)
+            self._filters.add(
+                manager.ApplyTransient(
+                    CollisionFilterDeclaration().ExcludeWithin(
+                        GeometrySet(geometries)
+                    )
                 )
             )

@@ -30,7 +30,11 @@ def choose_objects(scenario: Scenario) -> list[ObjectModel]:
             models = load_meshes(Path(folder))
         except ValueError as error:
             raise ScenarioError(str(error)) from error
-        library |= {model.name: model for model in models}
+        for model in models:
+            name = model.name
+            if name in library:
+                name = f"{name}_{len(library)}"
+            library[name] = replace(model, name=name)
     names = tuple(library) or object_names()
     get = library.__getitem__ if library else make_object
     if count <= len(names):
