@@ -66,7 +66,13 @@ class InstanceMasks(Message):
         return np.bincount(flat, minlength=len(self.names))
 
     def mask(self, name: str) -> np.ndarray:
-        """Returns the (H, W) bool mask of one object."""
+        """Returns the (H, W) bool mask of one object.
+
+        Raises:
+            ValueError: it is not among ``names``.
+        """
+        if name not in self.names:
+            raise ValueError(f"no instance {name!r}: {', '.join(self.names)}")
         return self.labels == self.names.index(name)
 
 

@@ -80,13 +80,14 @@ class PinholeCamera:
         Rays that never meet the plane get ``inf``.
         """
         slope = self.rays()[..., 2]
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             depth = (height - self.X_WC[2, 3]) / slope
         return np.where((slope != 0) & (depth > 0), depth, np.inf)
 
     def unproject(self, depth: np.ndarray) -> np.ndarray:
         """Returns the (H, W, 3) world points of an (H, W) z-depth image, m."""
-        return self.X_WC[:3, 3] + self.rays() * depth[..., None]
+        with np.errstate(invalid="ignore"):  # no reading: 0 × inf
+            return self.X_WC[:3, 3] + self.rays() * depth[..., None]
 
     def plane_homography(self, height: float) -> np.ndarray:
         """Returns the 3×3 map from (x, y, 1) on ``z = height`` to pixels."""

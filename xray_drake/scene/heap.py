@@ -135,6 +135,7 @@ def drop_heap(
     names = [model.name for model in (target, *objects)]
     if len(set(names)) != len(names):
         raise ValueError(f"objects of a heap need distinct names: {names}")
+    reason = ""
     for attempt in range(1, config.max_attempts + 1):
         rng = stream(seed, "heap", attempt)
         try:
@@ -142,14 +143,15 @@ def drop_heap(
                 target, objects, rng, config, plant_config, progress
             ).run(seed, attempt)
         except HeapError as error:
+            reason = str(error)
             _logger.warning(
                 "heap of seed %d, draw %d failed: %s", seed, attempt, error
             )
         finally:
             gc.collect()
     raise HeapError(
-        f"seed {seed}: {config.max_attempts} heaps in a row failed; the last "
-        "reasons are in the log. Try other objects or physics settings"
+        f"seed {seed}: {config.max_attempts} heaps in a row failed, the last: "
+        f"{reason}. Try other objects or physics settings"
     )
 
 

@@ -302,6 +302,8 @@ _MUST_BE_POSITIVE = (
     "scene.heap.rest_round",
     "gripper.quasi_static.approach_time",
     "gripper.quasi_static.speed",
+    "plant_config.time_step",
+    "gripper.parameters.opening",
     "visualization.publish_period",
 )
 
@@ -356,6 +358,8 @@ _StrictLoader.add_multi_constructor("!", _construct_tagged)
 
 
 def _check_camera(config: CameraConfig, source: str) -> None:
+    if not config.name:
+        raise ScenarioError(f"{source}: camera.name is empty")
     try:
         check_renderer(config)
         pinhole_camera(config)
