@@ -1,5 +1,7 @@
 """A small heap, put together by hand, and what is built from it."""
 
+import os
+import tempfile
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +14,10 @@ from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.station.scenario import Scenario
+
+_CACHE = tempfile.TemporaryDirectory(prefix="xray_drake_cache_")
+os.environ["XRAY_DRAKE_CACHE"] = _CACHE.name
+"""Imported meshes are not kept in the user's own cache."""
 
 _TARGET = "box_2to1"
 _YAW = 0.4

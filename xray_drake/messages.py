@@ -205,6 +205,8 @@ class GripperStatus(Message):
         held: name of the object in the gripper, empty where none is.
         stirring: objects in the bin may move; where it is False, only the
             objects in ``loose`` do.
+        settling: while stirring: nothing is drawn any more, the gripper waits
+            until the bin is at rest.
         loose: names of objects that move outside the bin.
     """
 
@@ -214,4 +216,5 @@ class GripperStatus(Message):
     reason: str = ""
     held: str = ""
     stirring: bool = False
+    settling: bool = False
     loose: tuple[str, ...] = ()

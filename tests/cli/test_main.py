@@ -18,7 +18,10 @@ def test_version() -> None:
 def test_help_names_every_command() -> None:
     result = CliRunner().invoke(app, ["--help"])
     assert result.exit_code == 0
-    for command in ("search", "benchmark", "doctor"):
+    for command in (
+        *("search", "benchmark", "doctor"),
+        *("generate", "dataset", "inspect", "objects"),
+    ):
         assert command in result.stdout
 
 

@@ -7,10 +7,20 @@ import pytest
 import trimesh
 
 from xray_drake.scene.meshes import (
-    COLLISION_VERTICES,
+    MAX_PIECES,
+    MAX_VERTICES,
+    LossLimits,
+    import_meshes,
     load_meshes,
-    simplified_hull,
 )
+from xray_drake.scene.meshes.prepare import Settings, prepare
+from xray_drake.scene.shapes import cup
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XRAY_DRAKE_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "meshes"
 
 
 def write(path, mesh):
@@ -18,20 +28,24 @@ def write(path, mesh):
     mesh.export(path)
 
 
+def box(*size, at=(0, 0, 0)):
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation(at)
+    return mesh
+
+
+def bench():
+    return trimesh.util.concatenate(
+        [box(0.1, 0.04, 0.01), box(0.01, 0.04, 0.05, at=(0.04, 0, -0.03))]
+    )
+
+
 @pytest.fixture
 def folder(tmp_path):
     folder = tmp_path / "toys"
-    bench = trimesh.util.concatenate(
-        [
-            trimesh.creation.box((0.1, 0.04, 0.01)),
-            trimesh.creation.box(
-                (0.01, 0.04, 0.05),
-                trimesh.transformations.translation_matrix([0.04, 0, -0.03]),
-            ),
-        ]
-    )
-    bench.apply_translation([1.0, 2.0, 3.0])
-    write(folder / "bench.obj", bench)
+    moved = bench()
+    moved.apply_translation([1.0, 2.0, 3.0])
+    write(folder / "bench.obj", moved)
     write(folder / "ball" / "textured.obj", trimesh.creation.icosphere(3, 0.03))
     write(
         folder / "duck" / "textured.obj", trimesh.creation.capsule(0.08, 0.02)
@@ -39,44 +53,104 @@ def folder(tmp_path):
     return folder
 
 
-def test_reads_hulls_in_metres_about_their_centre_of_mass(folder):
+def test_reads_objects_in_metres_about_their_centre_of_mass(folder):
     models = load_meshes(folder)
     assert [model.name for model in models] == [
-        "toys/ball/textured",
+        "toys/ball",
         "toys/bench",
-        "toys/duck/textured",
+        "toys/duck",
     ]
-    bench = models[1]
-    assert bench.visual.is_convex
-    np.testing.assert_allclose(bench.extents, [0.1, 0.04, 0.06], atol=1e-6)
+    np.testing.assert_allclose(models[1].extents, [0.1, 0.04, 0.06], atol=1e-6)
     for model in models:
         assert model.visual.is_volume
         np.testing.assert_allclose(model.p_OCom, 0, atol=1e-9)
-        np.testing.assert_allclose(model.visual.center_mass, 0, atol=1e-9)
-        assert model.mass == pytest.approx(300 * model.visual.volume)
+        np.testing.assert_allclose(model.visual.center_mass, 0, atol=1e-6)
+        assert model.mass == pytest.approx(300 * model.visual.volume, rel=1e-4)
         assert np.linalg.eigvalsh(model.inertia).min() > 0
+        assert all(len(piece) <= MAX_VERTICES for piece in model.pieces)
 
 
-def test_collision_hull_has_few_vertices_and_lies_inside(folder):
-    for model in load_meshes(folder):
-        (piece,) = model.pieces
+def test_an_object_not_convex_stays_so(folder):
+    made = import_meshes(folder)
+    model = made.models[1]
+    assert model.visual.volume == pytest.approx(6e-5, rel=1e-3)
+    assert len(model.pieces) == 2
+    losses = made.losses["toys/bench"]
+    assert losses.missing < 1e-3
+    assert losses.added < 1e-3
+    assert losses.silhouette < 0.03
+    assert abs(made.losses["toys/ball"].volume) < 0.15
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb", "off"])
+def test_every_format_gives_the_same_object(tmp_path, suffix):
+    millimetres = bench().apply_scale(1000)
+    write(tmp_path / "in" / f"bench.{suffix}", millimetres)
+    (model,) = load_meshes(tmp_path / "in", scale=0.001)
+    assert model.name == "in/bench"
+    np.testing.assert_allclose(model.extents, [0.1, 0.04, 0.06], atol=1e-6)
+    assert model.mass == pytest.approx(300 * 6e-5, rel=1e-3)
+    assert len(model.pieces) == 2
+
+
+def test_nodes_of_a_scene_are_put_in_place(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(box(0.1, 0.04, 0.01))
+    move = trimesh.transformations.translation_matrix([0.04, 0, -0.03])
+    scene.add_geometry(box(0.01, 0.04, 0.05), transform=move)
+    write(tmp_path / "in" / "bench.glb", scene)
+    (model,) = load_meshes(tmp_path / "in")
+    np.testing.assert_allclose(
+        np.sort(model.extents), [0.04, 0.06, 0.1], atol=1e-6
+    )
+
+
+def test_convex_groups_are_the_pieces(tmp_path):
+    boxes = [box(0.02, 0.02, 0.03 + k / 100, at=(k / 50, 0, 0)) for k in (0, 1)]
+    lines, offset = [], 1
+    for mesh in boxes:
+        lines.append(f"o convex_{offset}")
+        lines += [f"v {x} {y} {z}" for x, y, z in mesh.vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in mesh.faces + offset]
+        offset += 8
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "steps.obj").write_text("\n".join(lines))
+    made = import_meshes(tmp_path / "in")
+    (model,) = made.models
+    assert [len(piece) for piece in model.pieces] == [8, 8]
+    volumes = [np.prod(np.ptp(piece, axis=0)) for piece in model.pieces]
+    np.testing.assert_allclose(volumes, [1.2e-5, 1.6e-5], rtol=1e-5)
+    assert made.losses["in/steps"].missing < 1e-4
+    (hull,) = load_meshes(tmp_path / "in", max_pieces=1)[0].pieces
+    assert len(hull) > 8
+
+
+def test_hollow_objects_stay_hollow(tmp_path):
+    (surface,) = cup(0.025, 0.03, 0.06, 0.003, 0.003).surfaces
+    write(tmp_path / "in" / "cup.stl", surface)
+    made = import_meshes(tmp_path / "in")
+    (model,) = made.models
+    assert len(model.pieces) <= MAX_PIECES
+    assert model.visual.volume == pytest.approx(surface.volume, rel=1e-3)
+    ball = trimesh.creation.icosphere(3, 0.018)
+    height = float(surface.bounds[0, 2] - surface.center_mass[2]) + 0.005
+    ball.apply_translation([0, 0, height + 0.018])
+    for piece in model.pieces:
         hull = trimesh.Trimesh(piece).convex_hull
-        assert len(piece) <= COLLISION_VERTICES == 12
-        assert len(hull.vertices) == len(piece)
-        planes = model.visual.face_normals
-        offsets = np.sum(planes * model.visual.triangles[:, 0], axis=1)
-        assert (piece @ planes.T - offsets).max() < 1e-6
-        assert 0.5 < hull.volume / model.visual.volume <= 1 + 1e-6
-    (finer,) = load_meshes(folder, collision_vertices=40)[0].pieces
-    assert len(finer) == 40
+        depth = ball.vertices @ hull.face_normals.T - np.sum(
+            hull.face_normals * hull.triangles[:, 0], axis=1
+        )
+        assert (depth.max(axis=1) > 0).all()
+    losses = made.losses["in/cup"]
+    assert losses.missing < 0.1
+    assert losses.added < 0.3
 
 
-def test_simplified_hull_of_a_box_is_the_box():
-    corners = trimesh.creation.box((0.1, 0.05, 0.02)).vertices
-    mesh = trimesh.creation.box((0.1, 0.05, 0.02)).subdivide().subdivide()
-    chosen = simplified_hull(np.asarray(mesh.vertices), 12)
-    assert len(chosen) == 8, chosen
-    assert {tuple(p) for p in chosen} == {tuple(p) for p in corners}
+def test_losses_beyond_the_limits_are_rejected(folder, caplog):
+    tight = LossLimits(silhouette=0.12)
+    check_skipped(
+        folder, caplog, "duck", "silhouette by .* allow more", max_loss=tight
+    )
 
 
 def test_masses_file_is_used(folder):
@@ -85,7 +159,7 @@ def test_masses_file_is_used(folder):
     ball, bench, duck = load_meshes(folder, density=500)
     assert ball.mass == pytest.approx(0.05)
     assert bench.mass == pytest.approx(0.2)
-    assert duck.mass == pytest.approx(500 * duck.visual.volume)
+    assert duck.mass == pytest.approx(500 * duck.visual.volume, rel=1e-4)
     solid_ball = 0.4 * 0.05 * 0.03**2
     np.testing.assert_allclose(
         ball.inertia, solid_ball * np.eye(3), atol=0.02 * solid_ball
@@ -102,26 +176,71 @@ def test_bad_masses_file_is_an_error(folder, text):
 
 
 BAD_FILES = {
-    "nan": ("v nan 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n", "not finite"),
-    "empty": ("", "read|faces"),
-    "vertices_only": ("v 0 0 0\nv 0 0 0.1\n", "read|faces"),
-    "missing_vertex": ("v 0 0 0\nv 0.1 0 0\nf 1 2 9\n", "read"),
-    "noise": ("\x00\x01 what is this\nf x y z\n", "read|faces"),
-    "flat": ("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n", "flat"),
+    "nan.obj": (
+        "v nan 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n",
+        "not finite|read",
+    ),
+    "empty.obj": ("", "read|faces"),
+    "vertices_only.obj": ("v 0 0 0\nv 0 0 0.1\n", "read|faces"),
+    "missing_vertex.obj": ("v 0 0 0\nv 0.1 0 0\nf 1 2 9\n", "read"),
+    "noise.obj": ("\x00\x01 what is this\nf x y z\n", "read|faces"),
+    "noise.glb": ("glTF what is this", "read"),
+    "noise.stl": ("solid nothing", "read|faces"),
+    "noise.ply": ("ply\nformat what 1.0\n", "read|faces"),
+    "noise.off": ("OFF\n1 2\n", "read|faces"),
+    "flat.obj": ("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n", "flat"),
 }
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
 def test_broken_files_are_skipped_with_a_reason(folder, caplog, name):
     text, reason = BAD_FILES[name]
-    (folder / f"{name}.obj").write_text(text)
-    check_skipped(folder, caplog, f"{name}.obj", reason)
+    (folder / name).write_text(text)
+    check_skipped(folder, caplog, name, reason)
+
+
+def test_an_open_surface_is_skipped(folder, caplog):
+    tray = box(0.1, 0.1, 0.03)
+    tray.update_faces(tray.face_normals[:, 2] < 0.5)
+    write(folder / "tray.stl", tray)
+    check_skipped(folder, caplog, "tray.stl", "not closed: filling its holes")
+
+
+def test_a_failing_library_costs_one_file(folder, caplog, monkeypatch):
+    def fail(mesh, *_):
+        raise RuntimeError("no\nhull")
+
+    name = "xray_drake.scene.meshes.prepare.convex_components"
+    monkeypatch.setattr(name, fail)
+    lines = ["v 0 0 0", "v .1 0 0", "v 0 .1 0", "v 0 0 .1"]
+    faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    moved = ["v .1 .1 .1", "v .2 .1 .1", "v .1 .2 .1", "v .1 .1 .2"]
+    more = ["f 5 7 6", "f 5 6 8", "f 5 8 7", "f 6 7 8"]
+    text = "\n".join(["o a", *lines, *faces, "o b", *moved, *more])
+    (folder / "groups.obj").write_text(text)
+    with caplog.at_level(logging.WARNING, logger="xray_drake"):
+        (model,) = load_meshes(folder)
+    assert model.name == "toys/groups"
+    reasons = [record.getMessage() for record in caplog.records]
+    assert len(reasons) == 3
+    assert all("RuntimeError: no hull" in reason for reason in reasons)
+
+
+def test_what_stays_open_is_remeshed(folder, monkeypatch):
+    name = "xray_drake.scene.meshes.prepare.closed_surface"
+    monkeypatch.setattr(name, lambda _: None)
+    (folder / "ball" / "textured.obj").unlink()
+    (folder / "duck" / "textured.obj").unlink()
+    (model,) = load_meshes(folder)
+    assert model.visual.is_volume
+    np.testing.assert_allclose(model.extents, [0.1, 0.04, 0.06], atol=4e-3)
+    assert 5e-5 < model.visual.volume < 1.2e-4
 
 
 @pytest.mark.parametrize(
     ("size", "mass", "reason"),
     [
-        (0.3, 0.1, "longest side is 0.3 m"),
+        (0.3, 0.1, "longest side is 0.3 m.* give a scale"),
         (0.004, 0.1, "longest side is 0.004 m"),
         (0.05, 1e-6, "weighs only 1 mg"),
     ],
@@ -129,25 +248,150 @@ def test_broken_files_are_skipped_with_a_reason(folder, caplog, name):
 def test_what_is_too_large_small_or_light_is_skipped(
     folder, caplog, size, mass, reason
 ):
-    write(folder / "odd.obj", trimesh.creation.box((size, size / 2, size / 3)))
+    write(folder / "odd.obj", box(size, size / 2, size / 3))
     (folder / "masses.json").write_text(json.dumps({"odd": mass}))
     check_skipped(folder, caplog, "odd.obj", reason)
 
 
-def check_skipped(folder, caplog, file, reason):
+def check_skipped(folder, caplog, file, reason, **options):
+    everything = len(load_meshes(folder))
     with caplog.at_level(logging.WARNING, logger="xray_drake"):
-        assert len(load_meshes(folder)) == 3
+        caplog.clear()
+        made = import_meshes(folder, **options)
+    assert len(made.models) == everything - bool(options)
     (record,) = caplog.records
-    assert file in record.getMessage()
     assert "\n" not in record.getMessage()
+    assert file in record.getMessage()
     assert re.search(reason, record.getMessage())
+    ((path, why),) = made.rejected
+    assert file in str(path)
+    assert re.search(reason, why)
 
 
 def test_no_usable_mesh_is_one_clear_line(tmp_path):
-    for folder in (tmp_path / "nowhere", tmp_path):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for folder in (tmp_path / "nowhere", empty):
         with pytest.raises(ValueError, match=str(folder)) as caught:
             load_meshes(folder)
         assert "\n" not in str(caught.value)
-    (tmp_path / "flat.obj").write_text(BAD_FILES["flat"][0])
-    with pytest.raises(ValueError, match="none of the 1 OBJ files"):
-        load_meshes(tmp_path)
+    (empty / "flat.obj").write_text(BAD_FILES["flat.obj"][0])
+    with pytest.raises(ValueError, match=r"none of the 1 .* flat\.obj: it is"):
+        load_meshes(empty)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"scale": 0.0},
+        {"scale": float("nan")},
+        {"density": -1.0},
+        {"max_pieces": 0},
+        {"max_vertices": 3},
+        {"workers": 0},
+    ],
+)
+def test_options_without_sense_are_errors(folder, option):
+    (name,) = option
+    with pytest.raises(ValueError, match=name):
+        load_meshes(folder, **option)
+
+
+def same(a, b):
+    return (
+        a.name == b.name
+        and a.mass == b.mass
+        and np.array_equal(a.visual.vertices, b.visual.vertices)
+        and all(map(np.array_equal, a.pieces, b.pieces))
+    )
+
+
+def test_the_second_time_comes_from_the_cache(folder, cache, monkeypatch):
+    first = import_meshes(folder)
+    assert first.from_cache == 0
+    assert len(list(cache.glob("*.npz"))) == 3
+    assert not list(cache.glob("*.tmp"))
+
+    def fail(*_):
+        raise AssertionError("prepared again")
+
+    name = "xray_drake.scene.meshes.prepare.prepare"
+    monkeypatch.setattr(name, fail)
+    (folder / "bench.obj").rename(folder / "stool.obj")
+    second = import_meshes(folder)
+    assert second.from_cache == 3
+    assert same(first.models[0], second.models[0])
+    assert [model.name for model in second.models][-1] == "toys/stool"
+    for options in ({"max_vertices": 16}, {"scale": 0.5}, {"max_pieces": 3}):
+        with pytest.raises(ValueError, match="prepared again"):
+            import_meshes(folder, **options)
+
+
+def test_a_change_of_the_file_counts(folder):
+    import_meshes(folder)
+    write(folder / "ball" / "textured.obj", trimesh.creation.icosphere(2, 0.02))
+    made = import_meshes(folder)
+    assert made.from_cache == 2
+    assert made.models[0].extents.max() < 0.041
+
+
+def test_reasons_are_kept_too(folder, monkeypatch):
+    (folder / "flat.obj").write_text(BAD_FILES["flat.obj"][0])
+    first = import_meshes(folder)
+    second = import_meshes(folder)
+    assert second.from_cache == 4
+    assert second.rejected == first.rejected
+
+
+def test_damaged_cache_files_are_made_anew(folder, cache):
+    first = import_meshes(folder)
+    empty, cut, other = sorted(cache.glob("*.npz"))
+    empty.write_bytes(b"")
+    cut.write_bytes(cut.read_bytes()[:1000])
+    np.savez(other, wrong=np.zeros(3))
+    second = import_meshes(folder)
+    assert second.from_cache == 0
+    assert all(map(same, first.models, second.models))
+    assert import_meshes(folder).from_cache == 3
+
+
+def test_a_cache_that_cannot_be_written_gives_one_warning(
+    folder, tmp_path, caplog
+):
+    blocked = tmp_path / "file"
+    blocked.write_text("not a directory")
+    with caplog.at_level(logging.WARNING, logger="xray_drake"):
+        assert len(load_meshes(folder, cache_dir=blocked / "cache")) == 3
+    (record,) = caplog.records
+    assert "cannot write" in record.getMessage()
+
+
+def test_a_stopped_import_goes_on(folder):
+    class StopError(Exception):
+        pass
+
+    def stop(share):
+        if share > 0.5:
+            raise StopError
+
+    with pytest.raises(StopError):
+        import_meshes(folder, progress=stop)
+    shares = []
+    assert import_meshes(folder, progress=shares.append).from_cache == 2
+    assert shares == pytest.approx([1 / 3, 2 / 3, 1])
+
+
+def test_workers_make_the_same_objects(folder, tmp_path):
+    alone = load_meshes(folder)
+    several = load_meshes(folder, workers=2, cache_dir=tmp_path / "other")
+    assert all(map(same, alone, several))
+
+
+def test_preparing_twice_is_bitwise_the_same(tmp_path):
+    parts = [box(0.1, 0.04, 0.01), box(0.01, 0.04, 0.05, at=(0.04, 0, -0.02))]
+    write(tmp_path / "l.obj", trimesh.boolean.union(parts, engine="manifold"))
+    settings = Settings(1.0, 8, 12)
+    once, again = (prepare(tmp_path / "l.obj", settings) for _ in range(2))
+    assert len(once.piece_sizes) > 1
+    for name, value in vars(once).items():
+        np.testing.assert_array_equal(value, getattr(again, name))

@@ -10,10 +10,10 @@ from scipy.spatial import QhullError
 from scipy.spatial.transform import Rotation
 
 from xray_drake.geometry.convex import half_thickness
+from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.library import make_object
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
-    TUMBLE_TIME,
     PlantObject,
     add_bin,
     add_object,
@@ -137,7 +137,7 @@ def test_free_rotation_decays_and_free_fall_does_not() -> None:
     joint = Station(model).items[0].joint
     mean_inertia = np.linalg.eigvalsh(model.inertia).mean()
     assert joint.default_angular_damping() == pytest.approx(
-        mean_inertia / TUMBLE_TIME
+        mean_inertia / ContactConfig().tumble_time
     )
     assert joint.default_translational_damping() == 0.0
 

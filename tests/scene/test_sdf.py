@@ -10,7 +10,8 @@ from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
-    HUNT_CROSSLEY_DISSIPATION,
+    ContactConfig,
+    dissipation,
     hydroelastic_modulus,
 )
 from xray_drake.scene.library import make_object
@@ -67,11 +68,12 @@ def test_drake_reads_back_what_was_written(model, tmp_path):
         index = int(inspector.GetName(geometry).rsplit("_", 1)[1])
         assert properties.GetProperty(
             "hydroelastic", "hydroelastic_modulus"
-        ) == pytest.approx(hydroelastic_modulus(model.pieces[index]), rel=1e-5)
-        assert (
-            properties.GetProperty("material", "hunt_crossley_dissipation")
-            == HUNT_CROSSLEY_DISSIPATION
+        ) == pytest.approx(
+            hydroelastic_modulus(model.pieces[index], ContactConfig()), rel=1e-5
         )
+        assert properties.GetProperty(
+            "material", "hunt_crossley_dissipation"
+        ) == pytest.approx(dissipation(model, ContactConfig()), rel=1e-5)
         friction = properties.GetProperty("material", "coulomb_friction")
         assert friction.dynamic_friction() == model.friction
     (visual,) = plant.GetVisualGeometriesForBody(body)

@@ -13,9 +13,13 @@ from xray_drake.scene import shapes
         shapes.arc(0.02, 0.03, 0.01),
         shapes.arc(0.02, 0.03, 0.01, angle=np.pi, pieces=4),
         shapes.cup(0.03, 0.04, 0.08, wall=0.004, floor=0.005),
+        shapes.rod((0, 0, 0), (0.01, 0.02, 0.03), 0.005),
+        shapes.rod((0, 0, 0), (0.01, 0.02, 0.03), 0.03, 0.01),
+        shapes.ellipsoid((0.01, 0.02, 0.03)),
+        shapes.cylinder(0.01, 0.05).stretched((1, 2, 0.5)),
     ],
 )
-def test_octagons_have_the_volume_of_what_is_seen(solid):
+def test_pieces_have_the_volume_of_what_is_seen(solid):
     (surface,) = solid.surfaces
     assert surface.is_volume
     union = trimesh.boolean.union(
@@ -52,3 +56,34 @@ def test_box_of_recognises_boxes_only():
     assert shapes.box_of(turned.hulls[0]) is None
     assert shapes.box_of(shapes.cylinder(0.1, 0.1).hulls[0]) is None
     assert shapes.box_of(np.concatenate([corners[:7], corners[:1]])) is None
+
+
+def test_rod_runs_between_its_ends():
+    start, end = np.array([0.01, -0.02, 0.03]), np.array([0.05, 0.01, -0.02])
+    (hull,) = shapes.rod(start, end, 0.004, 0.008).hulls
+    along = (end - start) / np.linalg.norm(end - start)
+    places = (hull - start) @ along
+    np.testing.assert_allclose(
+        np.unique(places.round(9)), [0, np.linalg.norm(end - start)], atol=1e-9
+    )
+    middle = hull[places < 1e-6].mean(axis=0)
+    np.testing.assert_allclose(middle, start, atol=1e-12)
+    assert len(hull) == 2 * shapes.SLENDER_SIDES
+    thick = shapes.rod(start, end, 1.1 * shapes.SLENDER).hulls[0]
+    assert len(thick) == 2 * shapes.COLLISION_SIDES
+
+
+def test_beam_lies_on_the_plane():
+    (hull,) = shapes.beam((0, 0), (0.03, 0.04), 0.01, 0.02).hulls
+    np.testing.assert_allclose(
+        [hull.min(axis=0), hull.max(axis=0)],
+        [[-0.004, -0.003, 0], [0.034, 0.043, 0.02]],
+        atol=1e-12,
+    )
+
+
+def test_stretched_volume():
+    solid = shapes.arc(0.02, 0.03, 0.01).stretched((1.5, 0.5, 2))
+    before = shapes.arc(0.02, 0.03, 0.01).surfaces[0].volume
+    assert solid.surfaces[0].volume == pytest.approx(1.5 * before)
+    assert solid.surfaces[0].is_volume

@@ -36,10 +36,20 @@ def test_the_seed_chooses() -> None:
     assert chosen(10_000, 14) != chosen(10_001, 14)
 
 
-def test_without_replacement_while_the_library_lasts() -> None:
-    everything = len(object_names())
+def test_they_are_of_the_training_split() -> None:
+    assert set(chosen(10_000, 14)) <= set(object_names(split="train"))
+
+
+def test_without_replacement_while_the_library_lasts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    few = object_names("can", split="train")
+    monkeypatch.setattr(
+        "xray_drake.station.objects.object_names", lambda **_: few
+    )
+    everything = len(few)
     names = chosen(10_000, everything)
-    assert sorted(names) == sorted(object_names())
+    assert sorted(names) == sorted(few)
     more = chosen(10_000, everything + 5)
     assert len(set(more)) == everything + 5
 

@@ -12,7 +12,10 @@ import typer
 from rich.console import Console
 
 from xray_drake import __version__
+from xray_drake.cli.dataset import app as dataset_app
 from xray_drake.cli.exits import BAD_INPUT, FAILED, INTERRUPTED
+from xray_drake.cli.inspect import inspect
+from xray_drake.cli.objects import app as objects_app
 
 app = typer.Typer(
     name="xray-drake",
@@ -96,8 +99,11 @@ def search(
     meshes: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Folder of OBJ files that replace the distractors; repeatable."
+            help="Folder of meshes that replace the distractors; repeatable."
         ),
+    ] = None,
+    scale: Annotated[
+        float | None, typer.Option(help="Factor from their unit to metres.")
     ] = None,
     execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
     occupancy: Annotated[str | None, typer.Option(help="exact.")] = None,
@@ -141,6 +147,7 @@ def search(
                     "scene.meshes": [str(m) for m in meshes]
                     if meshes
                     else None,
+                    "scene.mesh_scale": scale,
                     "seed": seed,
                     "horizon": horizon,
                     "gripper.execution": execution,
@@ -210,12 +217,116 @@ def benchmark(
 
 
 @app.command()
+def generate(
+    out: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
+    images: Annotated[int, typer.Option(min=1, help="How many.")] = 10_000,
+    scenario: Annotated[
+        str, typer.Option(help="Name of a scenario, or a YAML file.")
+    ] = "paper",
+    target: Annotated[
+        str,
+        typer.Option(
+            help="A target, some with commas between, or all: an equal share "
+            "for each of the ten boxes. By default the scenario's."
+        ),
+    ] = "",
+    split: Annotated[
+        str,
+        typer.Option(
+            help="Which objects: train, validation, test; or all: 80, 10 and "
+            "10 % of the images."
+        ),
+    ] = "train",
+    seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Processes.")
+    ] = os.cpu_count() or 1,
+    views_per_heap: Annotated[
+        int, typer.Option(min=1, help="Cameras for each state of a heap.")
+    ] = 1,
+    snapshots: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="States of a heap that are looked at: while it grows, and "
+            "at rest.",
+        ),
+    ] = 1,
+    num_objects: Annotated[
+        int | None, typer.Option(help="Distractors in every heap.")
+    ] = None,
+    meshes: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of meshes that replace the distractors; repeatable."
+        ),
+    ] = None,
+    scale: Annotated[
+        float | None, typer.Option(help="Factor from their unit to metres.")
+    ] = None,
+    color: Annotated[
+        bool, typer.Option("--color", help="With colour images.")
+    ] = False,
+    label: Annotated[
+        str,
+        typer.Option(help="paper, or exact: exact placement on the floor."),
+    ] = "paper",
+    shard_size: Annotated[
+        int, typer.Option(min=1, help="Images per file, or a few more.")
+    ] = 50,
+    cluster: Annotated[
+        str,
+        typer.Option(
+            help="Run on a Ray cluster: its address, auto, or local:N."
+        ),
+    ] = "",
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what is there.")
+    ] = False,
+) -> None:
+    """Make a dataset of labelled images."""
+    from xray_drake.cli.generate import GenerateOptions, run
+
+    with errors_as_lines():
+        overrides: dict[str, object] = {
+            "scene.num_objects": num_objects,
+            "scene.random_number.mean": None if num_objects is None else 0.0,
+            "scene.meshes": [str(m) for m in meshes] if meshes else None,
+            "scene.mesh_scale": scale,
+        }
+        run(
+            GenerateOptions(
+                out=out,
+                images=images,
+                scenario=scenario,
+                overrides=overrides,
+                target=target,
+                split=split,
+                seed=seed,
+                views_per_heap=views_per_heap,
+                snapshots=snapshots,
+                shard_size=shard_size,
+                color=color,
+                label=label,
+                workers=workers,
+                cluster=cluster,
+                resume=resume,
+            ),
+            Console(),
+        )
+
+
+@app.command()
 def doctor() -> None:
     """Say what this machine lacks, and the command that mends it."""
     from xray_drake.cli.doctor import run
 
     raise typer.Exit(run(Console()))
 
+
+app.command()(inspect)
+app.add_typer(dataset_app, name="dataset")
+app.add_typer(objects_app, name="objects")
 
 if __name__ == "__main__":
     app()

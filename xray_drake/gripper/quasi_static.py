@@ -276,6 +276,7 @@ class QuasiStaticGripper(LeafSystem):
                 reason=motion.reason if idle else "",
                 held=name if holding else "",
                 stirring=motion.phase in _STIRRING or slipped,
+                settling=motion.phase is _Phase.HOLD or slipped,
                 loose=(name,) if released else (),
             )
         )

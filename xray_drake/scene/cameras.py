@@ -1,6 +1,11 @@
 """Adds Drake's RgbdSensor to a diagram, and tells what it is."""
 
+import copy
+from dataclasses import dataclass
+
 import numpy as np
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.common.schema import Transform
 from pydrake.common.value import Value
 from pydrake.geometry import (
     LightParameter,
@@ -8,7 +13,7 @@ from pydrake.geometry import (
     RenderEngineVtkParams,
     SceneGraph,
 )
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraConfig, RgbdSensor
@@ -48,6 +53,69 @@ def pinhole_camera(config: CameraConfig) -> PinholeCamera:
         intrinsics=K,
         X_WC=(X_WB @ X_BC).GetAsMatrix4(),
     )
+
+
+@dataclass
+class CameraSampling:
+    """How cameras are drawn around the nominal one (PROTOCOL.md, "Scene").
+
+    All are uniform; the position is on a part of a sphere about the middle of
+    the bin's floor, and the camera looks there.
+    """
+
+    # Draw them at all; otherwise the nominal camera is used.
+    enabled: bool = False
+    # Distance from the middle of the floor, m.
+    least_radius: float = 0.7
+    most_radius: float = 0.9
+    # Angle from the vertical, degrees.
+    most_angle: float = 10.0
+    # Turn about the viewing axis, degrees to either side.
+    roll: float = 10.0
+    # Focal length of both axes, pixels.
+    least_focal: float = 535.0
+    most_focal: float = 560.0
+    # Shift of the principal point from the nominal one in u and v, pixels to
+    # either side.
+    center_shift: float = 3.0
+
+
+def sample_camera(
+    nominal: CameraConfig, sampling: CameraSampling, rng: np.random.Generator
+) -> CameraConfig:
+    """Draws a camera.
+
+    Args:
+        nominal: gives all that is not drawn.
+        sampling: the ranges.
+        rng: source of randomness.
+
+    Returns:
+        A config of its own; where sampling is off, a copy of the nominal one.
+    """
+    config = copy.deepcopy(nominal)
+    if not sampling.enabled:
+        return config
+    radius = rng.uniform(sampling.least_radius, sampling.most_radius)
+    angle = np.deg2rad(rng.uniform(0, sampling.most_angle))
+    azimuth = rng.uniform(0, 2 * np.pi)
+    roll = np.deg2rad(rng.uniform(-sampling.roll, sampling.roll))
+    focal = rng.uniform(sampling.least_focal, sampling.most_focal)
+    shift = rng.uniform(-sampling.center_shift, sampling.center_shift, 2)
+    # Straight down, image x along world x; then tilted in the direction of
+    # the azimuth, which leaves image x close to world x, then rolled.
+    axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    R_WC = (
+        RotationMatrix(AngleAxis(angle, axis))
+        @ RotationMatrix(RollPitchYaw(np.pi, 0, 0))
+        @ RotationMatrix.MakeZRotation(roll)
+    )
+    p_WC = -radius * R_WC.col(2)
+    config.X_PB = Transform(RigidTransform(R_WC, p_WC))
+    config.focal = CameraConfig.FocalLength(x=focal, y=focal)
+    config.center_x = nominal.center_x + shift[0]
+    config.center_y = nominal.center_y + shift[1]
+    return config
 
 
 def check_renderer(config: CameraConfig) -> None:

@@ -2,8 +2,8 @@
 
 import gc
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -13,17 +13,18 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.stats import truncnorm
 
+from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
     PlantObject,
     add_bin,
-    add_object,
     add_objects,
     add_plant,
     default_plant_config,
     inside_bin,
 )
-from xray_drake.scene.rest import RestTest, box_corners
+from xray_drake.scene.rest import box_corners
+from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.seeding import stream
 
 _logger = logging.getLogger(__name__)
@@ -31,11 +32,32 @@ _logger = logging.getLogger(__name__)
 _PARKING_HEIGHT = 50.0
 """m. Objects wait there, locked and apart, until they are dropped."""
 
+_TRAY_GAP = 0.001
+"""m, between the objects that wait in the tray."""
+
+_SNAPSHOT_ROUND = 0.1
+"""s, over which a growing heap is watched before its picture is taken."""
+
+_LOOKS = 3
+"""How often a heap is looked at within a round of the test for rest."""
+
+_NOISE = 2e-5
+"""m. What moves less between two looks is not toppling."""
+
+_DOZE_TIME = 1.0
+_DOZE_STEP = 0.05
+"""s. A heap is given so long to fall asleep, looked at so often."""
+
+
+ARRANGEMENTS = ("one_by_one", "dump")
+
 
 @dataclass
 class HeapConfig:
     """How a heap is dropped (PROTOCOL.md, "Scene")."""
 
+    # "one_by_one", or "dump": all but the target fall together from a tray.
+    arrangement: str = "one_by_one"
     # The heap's centre is uniform within ± this in x and y, m.
     center_range: float = 0.03
     # Standard deviation of the objects' offsets from the centre, m.
@@ -49,12 +71,23 @@ class HeapConfig:
     # ... or this much above the heap, whichever is higher, m.
     heap_clearance: float = 0.05
     # One object is released every so many seconds.
-    drop_period: float = 0.28
+    drop_period: float = 0.14
+    # "dump": size of the tray in x and y, m, ...
+    tray_length: float = 0.30
+    tray_width: float = 0.24
+    # ... and its height over the floor, m.
+    tray_height: float = 0.25
+    # What rests sleeps while the others fall.
+    sleep: bool = False
     # At rest: no body moves more than rest_motion (m) in rest_round (s).
     rest_round: float = 0.3
     rest_motion: float = 0.0005
     # A heap that does not rest within this time after the last drop failed, s.
     rest_timeout: float = 8.0
+    # A picture taken while the heap grows waits for the heap to move less than
+    # snapshot_motion (m) in 0.1 s, but no longer than snapshot_timeout (s).
+    snapshot_motion: float = 0.002
+    snapshot_timeout: float = 0.5
     # A failed heap is drawn again this often before giving up.
     max_attempts: int = 10
 
@@ -75,6 +108,9 @@ class Heap:
         num_dropped: distractors dropped, those that fell outside included.
         attempts: draws it took; more than 1 where heaps of this seed failed.
         settle_time: simulated time from the first drop to rest, s.
+        growth: the heap as it was when fewer objects had been dropped, where
+            this was asked for; not wholly at rest.
+        failures: one line each draw of this seed that failed before.
     """
 
     target: ObjectModel
@@ -84,6 +120,8 @@ class Heap:
     num_dropped: int
     attempts: int
     settle_time: float
+    growth: tuple["Heap", ...] = field(default=(), repr=False)
+    failures: tuple[str, ...] = ()
 
     @property
     def target_tilt(self) -> float:
@@ -107,10 +145,12 @@ def drop_heap(
     seed: int,
     *,
     config: HeapConfig | None = None,
+    contact: ContactConfig | None = None,
     plant_config: MultibodyPlantConfig | None = None,
+    snapshots: Collection[int] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Heap:
-    """Drops the target, then the objects one by one, and lets them rest.
+    """Drops the target, then the objects, and lets them rest.
 
     Objects that end outside the bin are removed. A heap that fails (NaN, no
     rest in time, target outside the bin) is drawn again from the next
@@ -122,36 +162,49 @@ def drop_heap(
         objects: dropped in this order.
         seed: of the heap's centre, offsets and orientations.
         config: how to drop.
+        contact: the objects' material.
         plant_config: physics.
+        snapshots: numbers of dropped objects at which the growing heap is
+            remembered too (one by one only); see ``Heap.growth``.
         progress: called now and then with the share done, in [0, 1].
 
     Raises:
         HeapError: ``max_attempts`` draws failed.
-        ValueError: no objects, or two of the same name.
+        ValueError: no objects, two of the same name, an arrangement that does
+            not exist, or snapshots that cannot be taken.
     """
     config = config or HeapConfig()
+    if config.arrangement not in ARRANGEMENTS:
+        raise ValueError(
+            f"no arrangement is called {config.arrangement!r}: choose one of "
+            f"{', '.join(ARRANGEMENTS)}"
+        )
     if not objects:
         raise ValueError("a heap needs at least one object beside the target")
     names = [model.name for model in (target, *objects)]
     if len(set(names)) != len(names):
         raise ValueError(f"objects of a heap need distinct names: {names}")
-    reason = ""
+    if snapshots and config.arrangement != "one_by_one":
+        raise ValueError("a heap that is dumped has no snapshots")
+    failures: list[str] = []
     for attempt in range(1, config.max_attempts + 1):
         rng = stream(seed, "heap", attempt)
         try:
-            return _Drop(
-                target, objects, rng, config, plant_config, progress
-            ).run(seed, attempt)
-        except HeapError as error:
-            reason = str(error)
-            _logger.warning(
-                "heap of seed %d, draw %d failed: %s", seed, attempt, error
+            drop = _Drop(
+                target, objects, rng, config, contact, plant_config, progress
             )
+            heap = drop.run(seed, attempt, frozenset(snapshots))
+            return replace(heap, failures=tuple(failures))
+        except HeapError as error:
+            failures.append(
+                f"heap of seed {seed}, draw {attempt} failed: {error}"
+            )
+            _logger.warning(failures[-1])
         finally:
             gc.collect()
     raise HeapError(
         f"seed {seed}: {config.max_attempts} heaps in a row failed, the last: "
-        f"{reason}. Try other objects or physics settings"
+        f"{failures[-1]}. Try other objects or physics settings"
     )
 
 
@@ -162,6 +215,7 @@ class _Drop:
         objects: Sequence[ObjectModel],
         rng: np.random.Generator,
         config: HeapConfig,
+        contact: ContactConfig | None,
         plant_config: MultibodyPlantConfig | None,
         progress: Callable[[float], None] | None,
     ) -> None:
@@ -169,49 +223,80 @@ class _Drop:
         self._rng = rng
         self._progress = progress or (lambda share: None)
         builder = DiagramBuilder()
-        plant, _ = add_plant(builder, plant_config or default_plant_config())
+        plant, scene_graph = add_plant(
+            builder, plant_config or default_plant_config()
+        )
         add_bin(plant)
         self._plant: MultibodyPlant = plant
-        self._target = add_object(plant, target)
-        self._others = add_objects(plant, objects)
+        self._all = add_objects(
+            plant, [target, *objects], contact=contact, visible=False
+        )
+        self._target, *self._others = self._all
         plant.Finalize()
         self._simulator = Simulator(builder.Build())
-        self._context: Context = plant.GetMyMutableContextFromRoot(
-            self._simulator.get_mutable_context()
-        )
-        self._bottoms = {
-            item.name: item.model.visual.vertices for item in self._all
-        }
+        self._root: Context = self._simulator.get_mutable_context()
+        self._context: Context = plant.GetMyMutableContextFromRoot(self._root)
+        self._parked: set[str] = set()
+        self._sleep = SleepMonitor(plant, scene_graph, self._all)
+        if config.sleep:
+            self._simulator.set_monitor(self._sleep)
 
-    @property
-    def _all(self) -> list[PlantObject]:
-        return [self._target, *self._others]
-
-    def run(self, seed: int, attempt: int) -> Heap:
+    def run(self, seed: int, attempt: int, snapshots: frozenset[int]) -> Heap:
         config, rng = self._config, self._rng
-        for index, item in enumerate(self._all):
-            X = RigidTransform([2.0 * index, 0.0, _PARKING_HEIGHT])
-            item.joint.SetPose(self._context, X)
-            item.joint.Lock(self._context)
+        for item in self._all:
+            self._park(item)
         center = rng.uniform(-config.center_range, config.center_range, 2)
         yaw = RollPitchYaw(0, 0, rng.uniform(0, 2 * np.pi)).ToRotationMatrix()
         self._release(
             self._target, yaw, center + self._offset(), config.target_height
         )
         self._advance(config.drop_period)
-        for index, item in enumerate(self._others):
-            height = max(
-                config.drop_height,
-                self._heap_top() + config.heap_clearance,
-            )
-            self._release(
-                item, _random_rotation(rng), center + self._offset(), height
-            )
-            self._advance(config.drop_period)
-            self._progress((index + 1) / (len(self._others) + 4))
+        growth: list[Heap] = []
+        if config.arrangement == "dump":
+            self._dump()
+        else:
+            for count in range(1, len(self._others) + 1):
+                self._drop_one(self._others[count - 1], center)
+                if count in snapshots and count < len(self._others):
+                    growth.append(self._snapshot(seed, attempt, count))
         self._settle()
         self._progress(1.0)
-        return self._result(seed, attempt)
+        heap = self._result(seed, attempt, len(self._others))
+        return replace(heap, growth=tuple(growth))
+
+    def _drop_one(self, item: PlantObject, center: np.ndarray) -> None:
+        config = self._config
+        height = max(
+            config.drop_height, self._heap_top() + config.heap_clearance
+        )
+        R = _random_rotation(self._rng)
+        self._release(item, R, center + self._offset(), height)
+        self._advance(config.drop_period)
+        done = len(self._all) - len(self._parked)
+        self._progress(done / (len(self._all) + 4))
+
+    def _dump(self) -> None:
+        """Stacks the objects loosely in the tray and lets all fall."""
+        config, rng = self._config, self._rng
+        half = np.array([config.tray_length, config.tray_width]) / 2
+        placed: list[tuple[np.ndarray, np.ndarray, float]] = []
+        for item in self._others:
+            R = _random_rotation(rng)
+            points = item.model.visual.vertices @ R.matrix().T
+            low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+            # What is wider than the tray stands over both its edges.
+            ends = np.stack([-half - low, half - high])
+            xy = rng.uniform(ends.min(axis=0), ends.max(axis=0))
+            low, high = low + xy, high + xy
+            below = [
+                top
+                for least, most, top in placed
+                if (least < high).all() and (most > low).all()
+            ]
+            z = max(below, default=config.tray_height) + _TRAY_GAP
+            self._release(item, R, xy, z)
+            placed.append((low, high, z + float(np.ptp(points[:, 2]))))
+        self._advance(config.drop_period)
 
     def _offset(self) -> np.ndarray:
         config = self._config
@@ -224,80 +309,128 @@ class _Drop:
             random_state=self._rng,
         )
 
+    def _park(self, item: PlantObject) -> None:
+        """Locks an object far away, at rest, where it costs nothing."""
+        x = 2.0 * self._all.index(item)
+        self._place(item, RigidTransform([x, 0.0, _PARKING_HEIGHT]))
+        item.joint.Lock(self._context)
+        self._parked.add(item.name)
+
     def _release(
         self, item: PlantObject, R: RotationMatrix, xy: np.ndarray, z: float
     ) -> None:
         """Puts an object with its lowest point at height z, at rest, free."""
-        lowest = (self._bottoms[item.name] @ R.matrix().T)[:, 2].min()
-        item.joint.Unlock(self._context)
-        item.joint.SetPose(
-            self._context, RigidTransform(R, [xy[0], xy[1], z - lowest])
-        )
+        lowest = (item.model.visual.vertices @ R.matrix().T)[:, 2].min()
+        self._sleep.wake(self._root, [item.name])
+        self._parked.discard(item.name)
+        self._place(item, RigidTransform(R, [xy[0], xy[1], z - lowest]))
+
+    def _place(self, item: PlantObject, X_WO: RigidTransform) -> None:
+        item.joint.SetPose(self._context, X_WO)
         item.joint.set_angular_velocity(self._context, np.zeros(3))
         item.joint.set_translational_velocity(self._context, np.zeros(3))
 
     def _pose(self, item: PlantObject) -> np.ndarray:
         return item.body.EvalPoseInWorld(self._context).GetAsMatrix4()
 
-    def _points(self, item: PlantObject) -> np.ndarray:
-        X = self._pose(item)
-        return self._bottoms[item.name] @ X[:3, :3].T + X[:3, 3]
-
     def _dropped(self) -> list[PlantObject]:
-        return [i for i in self._all if not i.joint.is_locked(self._context)]
+        return [item for item in self._all if item.name not in self._parked]
 
     def _heap_top(self) -> float:
-        tops = [
-            self._points(item)[:, 2].max()
-            for item in self._dropped()
-            if inside_bin(self._pose(item)[:3, 3])
-        ]
-        return max(tops, default=0.0)
+        tops = [0.0]
+        for item in self._dropped():
+            X = self._pose(item)
+            if inside_bin(X[:3, 3]):
+                heights = item.model.visual.vertices @ X[2, :3] + X[2, 3]
+                tops.append(float(heights.max()))
+        return max(tops)
 
     def _advance(self, duration: float) -> None:
-        context = self._simulator.get_mutable_context()
         try:
-            self._simulator.AdvanceTo(context.get_time() + duration)
+            self._simulator.AdvanceTo(self._root.get_time() + duration)
         except RuntimeError as error:
             raise HeapError(f"the simulation stopped: {error}") from error
         if not np.isfinite(self._plant.GetPositions(self._context)).all():
             raise HeapError("the simulation went to NaN")
 
     def _settle(self) -> None:
+        """Waits until nothing has moved for a whole round.
+
+        Speeds alone mislead: a creeping heap is slow, a light body may quiver
+        in place, and one at its turning point is slow for an instant.
+        """
         config = self._config
-        context = self._simulator.get_context()
-        deadline = context.get_time() + config.rest_timeout
-        test = RestTest(config.rest_motion, config.rest_round)
-        while context.get_time() < deadline:
+        deadline = self._root.get_time() + config.rest_timeout
+        looks: list[np.ndarray] = []
+        while self._root.get_time() < deadline:
+            if self._remove_outside():
+                looks = []
+            if config.sleep and not looks:
+                self._doze(deadline)
+            looks = [*looks[-_LOOKS:], self._corners()]
+            moved = np.linalg.norm(looks[-1] - np.array(looks), axis=-1)
+            still = float(moved.max()) <= config.rest_motion
+            if still and len(looks) > _LOOKS and not _topples(looks):
+                return
+            if not still:
+                looks = [] if config.sleep else looks[-1:]
+            self._advance(config.rest_round / _LOOKS)
+        raise HeapError(f"no rest within {config.rest_timeout} s")
+
+    def _doze(self, deadline: float) -> None:
+        """Lets all fall asleep, then wakes them.
+
+        What rests only because it or its neighbours are locked moves then.
+        """
+        deadline = min(deadline, self._root.get_time() + _DOZE_TIME)
+        self._simulator.set_monitor(self._sleep)
+        while self._root.get_time() < deadline:
+            if len(self._sleep.asleep(self._root)) == len(self._all):
+                break
+            self._advance(_DOZE_STEP)
             self._remove_outside()
-            corners = [
+        self._simulator.clear_monitor()
+        self._sleep.wake(self._root, [item.name for item in self._dropped()])
+
+    def _moved(self, duration: float) -> float:
+        """Advances; returns how far any point of a body went at most, m."""
+        before = self._corners()
+        self._advance(duration)
+        moved = np.linalg.norm(self._corners() - before, axis=-1)
+        return float(moved.max(initial=0.0))
+
+    def _corners(self) -> np.ndarray:
+        return np.concatenate(
+            [
                 box_corners(item.model, self._pose(item))
                 for item in self._dropped()
             ]
-            test = test.update(context.get_time(), np.concatenate(corners))
-            if test.at_rest:
-                return
-            self._advance(config.rest_round)
-        raise HeapError(f"no rest within {config.rest_timeout} s")
+        )
 
-    def _remove_outside(self) -> None:
+    def _snapshot(self, seed: int, attempt: int, count: int) -> Heap:
+        config = self._config
+        deadline = self._root.get_time() + config.snapshot_timeout
+        while self._root.get_time() < deadline:
+            if self._moved(_SNAPSHOT_ROUND) <= config.snapshot_motion:
+                break
+        self._remove_outside()
+        return self._result(seed, attempt, count)
+
+    def _remove_outside(self) -> bool:
         """Parks what fell outside, so that settling need not wait for it."""
-        for index, item in enumerate(self._all):
-            if item.joint.is_locked(self._context):
+        removed = False
+        for item in self._dropped():
+            p_WO = self._pose(item)[:3, 3]
+            if inside_bin(p_WO):
                 continue
-            if not inside_bin(self._pose(item)[:3, 3]):
-                if item is self._target:
-                    p = self._pose(item)[:3, 3].round(3).tolist()
-                    raise HeapError(f"the target left the bin, to {p} m")
-                X = RigidTransform([2.0 * index, 0.0, _PARKING_HEIGHT])
-                item.joint.SetPose(self._context, X)
-                item.joint.set_angular_velocity(self._context, np.zeros(3))
-                item.joint.set_translational_velocity(
-                    self._context, np.zeros(3)
-                )
-                item.joint.Lock(self._context)
+            if item is self._target:
+                where = p_WO.round(3).tolist()
+                raise HeapError(f"the target left the bin, to {where} m")
+            self._park(item)
+            removed = True
+        return removed
 
-    def _result(self, seed: int, attempt: int) -> Heap:
+    def _result(self, seed: int, attempt: int, num_dropped: int) -> Heap:
         inside = [item for item in self._others if item in self._dropped()]
         if not inside:
             raise HeapError("all objects fell outside the bin")
@@ -308,10 +441,21 @@ class _Drop:
                 item.name: self._pose(item) for item in [self._target, *inside]
             },
             seed=seed,
-            num_dropped=len(self._others),
+            num_dropped=num_dropped,
             attempts=attempt,
-            settle_time=self._simulator.get_context().get_time(),
+            settle_time=self._root.get_time(),
         )
+
+
+def _topples(looks: list[np.ndarray]) -> bool:
+    """Says whether a body moves ever faster, as what begins to topple does.
+
+    Args:
+        looks: points fixed to the bodies, (n, 3) m each, at equal intervals.
+    """
+    first = np.linalg.norm(looks[1] - looks[0], axis=-1)
+    last = np.linalg.norm(looks[-1] - looks[-2], axis=-1)
+    return bool(((last > _NOISE) & (last > first)).any())
 
 
 def _random_rotation(rng: np.random.Generator) -> RotationMatrix:

@@ -1,39 +1,93 @@
 """The procedural library: household things made from family and number.
 
 An object is called ``family_number``, as in ``bottle_003``. Its name decides
-all of it: the generator is seeded from the family's name and the number, so an
-object stays the same when families or members are added.
+all of it: the table ``families/draws.json`` gives the draw that the number
+stands for, and the generator is seeded from the family's name and the draw.
+The table leaves out draws that look like another object's
+(:mod:`xray_drake.scene.likeness`) and says which split an object belongs to.
+``bottle_003_packaged`` is the same object on a backing card
+(:mod:`xray_drake.scene.packaging`).
 """
 
+import json
 import zlib
 from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
 from xray_drake.scene.colors import distractor_color
 from xray_drake.scene.families import FAMILIES
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.packaging import PACKAGED, packaged_model
 
-MEMBERS_PER_FAMILY = 12
+SPLITS = ("train", "validation", "test")
+"""Training; other members of its families; families training never uses."""
+
+PLAIN_DRAWS = 12
+"""The first draws of a family are not stretched: they are as they always
+were."""
+
+PACKAGED_OF_SEVEN = (2, 5)
+"""Which of seven members come in a package too: 2 more on 7, as the paper's
+test set has 13 packaged on 46 others."""
 
 
 @cache
-def object_names(*families: str) -> tuple[str, ...]:
-    """Returns the names of the library's objects, family by family.
+def object_names(
+    *families: str, split: str | None = None, packaged: bool = False
+) -> tuple[str, ...]:
+    """Returns names of the library's objects, family by family.
 
     Args:
-        *families: which families; all where none is named.
+        *families: which families; where none is named, all of the split.
+        split: which split; by default every split of the families named, or
+            ``train`` where none is.
+        packaged: put the packaged variants after the objects.
 
     Raises:
-        ValueError: a family that does not exist.
+        ValueError: a family or split that does not exist.
     """
     for family in families:
         _check_family(family)
+    if split is None and not families:
+        split = "train"
+    if split is not None and split not in SPLITS:
+        raise ValueError(
+            f"no split is called {split!r}; there are {', '.join(SPLITS)}"
+        )
+    names = [
+        name
+        for family in families or families_of(split)
+        for name, _, belongs in _members(family)
+        if split in (None, belongs)
+    ]
+    if packaged:
+        names += [
+            name + PACKAGED
+            for name in names
+            if int(name[-3:]) % 7 in PACKAGED_OF_SEVEN
+        ]
+    return tuple(names)
+
+
+@cache
+def families_of(split: str | None = None) -> tuple[str, ...]:
+    """Returns the families of a split, or all."""
     return tuple(
-        f"{family}_{index:03d}"
-        for family in families or FAMILIES
-        for index in range(MEMBERS_PER_FAMILY)
+        family
+        for family in FAMILIES
+        if any(split in (None, belongs) for *_, belongs in _members(family))
     )
+
+
+def split_of(name: str) -> str:
+    """Returns the split of an object or of a packaged variant.
+
+    Raises:
+        ValueError: the library has no such object.
+    """
+    return _find(name)[1]
 
 
 @cache
@@ -41,32 +95,80 @@ def make_object(name: str) -> ObjectModel:
     """Builds an object of the library; takes a few milliseconds.
 
     Args:
-        name: one of ``object_names()``.
+        name: one of ``object_names()`` of any split, with or without
+            ``_packaged``.
 
     Raises:
         ValueError: the library has no such object.
     """
-    family, _, number = name.rpartition("_")
-    _check_family(family)
-    if name not in object_names(family):
-        raise ValueError(
-            f"no object is called {name!r}; family {family!r} has "
-            f"{family}_000 to {object_names(family)[-1]}"
+    draw, _ = _find(name)
+    if name.endswith(PACKAGED):
+        return packaged_model(
+            make_object(name.removesuffix(PACKAGED)),
+            zlib.crc32(name.encode()),
         )
-    rng = np.random.default_rng([zlib.crc32(family.encode()), int(number)])
+    family = name.rpartition("_")[0]
+    return drawn_object(name, family, draw)
+
+
+def drawn_object(name: str, family: str, draw: int) -> ObjectModel:
+    """Builds an object from a draw, be it in the table or not.
+
+    Args:
+        name: the object's.
+        family: one of ``FAMILIES``.
+        draw: number of the draw, from 0.
+    """
+    seed = [zlib.crc32(family.encode()), draw]
+    rng = np.random.default_rng(seed)
     solid, density = FAMILIES[family](rng)
+    color = distractor_color(rng)
+    if draw >= PLAIN_DRAWS:
+        solid = solid.stretched(FAMILIES[family].factors(rng))
     return object_from_pieces(
         name,
         list(solid.surfaces),
         density=density,
         collision=list(solid.hulls),
-        color=distractor_color(rng),
+        color=color,
     )
 
 
-def procedural_library() -> tuple[ObjectModel, ...]:
-    """Returns all objects of the library, built at the first call."""
-    return tuple(make_object(name) for name in object_names())
+def procedural_library(split: str | None = None) -> tuple[ObjectModel, ...]:
+    """Returns all objects of a split, by default training's."""
+    return tuple(make_object(name) for name in object_names(split=split))
+
+
+@cache
+def _draws() -> dict[str, dict[str, list[int]]]:
+    """Reads the table: family, split, draws in the order of the numbers."""
+    path = files("xray_drake.scene.families") / "draws.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@cache
+def _members(family: str) -> tuple[tuple[str, int, str], ...]:
+    """Lists name, draw and split of a family's members."""
+    table = _draws().get(family, {})
+    drawn = [(draw, split) for split in SPLITS for draw in table.get(split, [])]
+    return tuple(
+        (f"{family}_{number:03d}", draw, split)
+        for number, (draw, split) in enumerate(drawn)
+    )
+
+
+@cache
+def _find(name: str) -> tuple[int, str]:
+    plain = name.removesuffix(PACKAGED)
+    family = plain.rpartition("_")[0]
+    _check_family(family)
+    for known, draw, split in _members(family):
+        if known == plain:
+            return draw, split
+    raise ValueError(
+        f"no object is called {name!r}; family {family!r} has "
+        f"{family}_000 to {_members(family)[-1][0]}"
+    )
 
 
 def _check_family(family: str) -> None:

@@ -13,6 +13,25 @@ CREASE_ANGLE = np.deg2rad(35)
 
 
 @dataclass(frozen=True, eq=False)
+class TexturedMesh:
+    """A surface with a picture on it, for colour images.
+
+    Attributes:
+        vertices: (n, 3) float32 in the body frame O, m; they repeat where the
+            picture has seams.
+        faces: (m, 3) int32 vertex indices.
+        uv: (n, 2) float32 places in the picture, u right and v up from its
+            lower left corner, each from 0 to 1.
+        image: (h, w, 3) uint8 RGB.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    image: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class ObjectModel:
     """An object that can be dropped into a heap.
 
@@ -28,6 +47,7 @@ class ObjectModel:
             in O, kg·m².
         friction: Coulomb coefficient.
         color: red, green, blue, alpha in [0, 1].
+        textured: the same surface with its texture, where it has one.
     """
 
     name: str
@@ -38,6 +58,7 @@ class ObjectModel:
     inertia: np.ndarray
     friction: float = DEFAULT_FRICTION
     color: tuple[float, float, float, float] = (0.6, 0.6, 0.6, 1.0)
+    textured: TexturedMesh | None = None
 
     def __deepcopy__(self, memo: dict) -> "ObjectModel":
         return self

@@ -38,10 +38,12 @@ from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.contact import (
-    HUNT_CROSSLEY_DISSIPATION,
-    PRESSURE_GRADIENT,
+    ContactConfig,
+    angular_damping,
+    dissipation,
     hydroelastic_modulus,
 )
+from xray_drake.scene.meshes.textured import drake_mesh
 from xray_drake.scene.object_model import ObjectModel, shaded
 from xray_drake.scene.parsing import configure_parser
 
@@ -53,10 +55,6 @@ BIN_WALL_HEIGHT = 0.12
 TOTE_POSITION = (0.62, 0.0, 0.0)
 """Centre of the tote's inside floor in the world, m: beside the bin and out
 of the overhead camera's view."""
-
-TUMBLE_TIME = 0.05
-"""s. An object's free rotation decays over this time: it stands in for the
-rolling resistance that rigid round bodies lack."""
 
 
 @dataclass(frozen=True)
@@ -146,22 +144,28 @@ def add_object(
     plant: MultibodyPlant,
     model: ObjectModel,
     *,
-    pressure_gradient: float = PRESSURE_GRADIENT,
-    dissipation: float = HUNT_CROSSLEY_DISSIPATION,
-    tumble_time: float = TUMBLE_TIME,
+    contact: ContactConfig | None = None,
+    collides: bool = True,
+    visible: bool = True,
+    textured: bool = False,
 ) -> PlantObject:
     """Adds an object as a floating body in a model instance of its name.
 
     Args:
         plant: not finalized, registered with a scene graph.
         model: the object.
-        pressure_gradient: of the compliant contact, Pa/m.
-        dissipation: Hunt-Crossley dissipation, s/m.
-        tumble_time: time over which a free rotation decays, s.
+        contact: its material.
+        collides: register the collision pieces; a scene that is only looked
+            at does not need them.
+        visible: register the visual mesh; a scene that nobody looks at does
+            not need it.
+        textured: register the textured mesh of an object that has one in place
+            of the visual mesh.
 
     Raises:
         RuntimeError: the plant has an object of that name.
     """
+    contact = contact or ContactConfig()
     instance = plant.AddModelInstance(model.name)
     unit_inertia_Com = model.inertia / model.mass
     inertia = SpatialInertia(
@@ -175,21 +179,57 @@ def add_object(
             name=f"{model.name}_joint",
             frame_on_parent=plant.world_frame(),
             frame_on_child=body.body_frame(),
-            angular_damping=float(np.trace(model.inertia) / 3 / tumble_time),
+            angular_damping=angular_damping(model, contact),
             translational_damping=0.0,
         )
     )
+    if collides:
+        _register_collision(plant, body, model, contact)
+    if visible:
+        _register_visual(plant, body, model, textured)
+    return PlantObject(model=model, body=body, joint=joint)
+
+
+def add_objects(
+    plant: MultibodyPlant,
+    models: Iterable[ObjectModel],
+    *,
+    contact: ContactConfig | None = None,
+    collides: bool = True,
+    visible: bool = True,
+    textured: bool = False,
+) -> list[PlantObject]:
+    """Adds several objects; see :func:`add_object`."""
+    return [
+        add_object(
+            plant,
+            model,
+            contact=contact,
+            collides=collides,
+            visible=visible,
+            textured=textured,
+        )
+        for model in models
+    ]
+
+
+def _register_collision(
+    plant: MultibodyPlant,
+    body: RigidBody,
+    model: ObjectModel,
+    contact: ContactConfig,
+) -> None:
     friction = CoulombFriction(model.friction, model.friction)
     for index, vertices in enumerate(model.pieces):
         proximity = ProximityProperties()
         AddContactMaterial(
-            dissipation=dissipation, friction=friction, properties=proximity
+            dissipation=dissipation(model, contact),
+            friction=friction,
+            properties=proximity,
         )
         AddCompliantHydroelasticProperties(
             resolution_hint=0.05,
-            hydroelastic_modulus=hydroelastic_modulus(
-                vertices, pressure_gradient
-            ),
+            hydroelastic_modulus=hydroelastic_modulus(vertices, contact),
             properties=proximity,
         )
         plant.RegisterCollisionGeometry(
@@ -199,15 +239,6 @@ def add_object(
             f"piece_{index}",
             proximity,
         )
-    _register_visual(plant, body, model)
-    return PlantObject(model=model, body=body, joint=joint)
-
-
-def add_objects(
-    plant: MultibodyPlant, models: Iterable[ObjectModel]
-) -> list[PlantObject]:
-    """Adds several objects; see :func:`add_object`."""
-    return [add_object(plant, model) for model in models]
 
 
 def _unit_inertia_about_origin(
@@ -222,15 +253,18 @@ def _unit_inertia_about_origin(
 
 
 def _register_visual(
-    plant: MultibodyPlant, body: RigidBody, model: ObjectModel
+    plant: MultibodyPlant, body: RigidBody, model: ObjectModel, textured: bool
 ) -> None:
-    shape = Mesh(in_memory_mesh(model.visual, model.name))
+    perception = PerceptionProperties()
+    perception.AddProperty("label", "id", RenderLabel(int(body.index())))
+    if textured and model.textured is not None:
+        shape = Mesh(drake_mesh(model.textured, model.name))
+    else:
+        shape = Mesh(in_memory_mesh(model.visual, model.name))
+        perception.AddProperty("phong", "diffuse", Rgba(*model.color))
     instance = GeometryInstance(RigidTransform(), shape, "visual")
     instance.set_illustration_properties(
         MakePhongIllustrationProperties(np.array(model.color))
     )
-    perception = PerceptionProperties()
-    perception.AddProperty("phong", "diffuse", Rgba(*model.color))
-    perception.AddProperty("label", "id", RenderLabel(int(body.index())))
     instance.set_perception_properties(perception)
     plant.RegisterVisualGeometry(body, instance)

@@ -13,7 +13,8 @@ import trimesh
 
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
-    HUNT_CROSSLEY_DISSIPATION,
+    ContactConfig,
+    dissipation,
     hydroelastic_modulus,
 )
 from xray_drake.scene.object_model import ObjectModel, shaded
@@ -62,7 +63,7 @@ def write_sdf(model: ObjectModel, folder: Path) -> Path:
             _write_obj(trimesh.Trimesh(vertices).convex_hull, path)
             mesh = _add_mesh(collision, path.name)
             SubElement(mesh, _drake("declare_convex"))
-        _add_proximity(collision, vertices, model.friction)
+        _add_proximity(collision, vertices, model)
 
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
@@ -107,15 +108,16 @@ def _add_mesh(parent: Element, uri: str) -> Element:
 
 
 def _add_proximity(
-    collision: Element, vertices: np.ndarray, friction: float
+    collision: Element, vertices: np.ndarray, model: ObjectModel
 ) -> None:
+    contact = ContactConfig()
     properties = SubElement(collision, _drake("proximity_properties"))
     SubElement(properties, _drake("compliant_hydroelastic"))
     for name, value in (
-        ("hydroelastic_modulus", hydroelastic_modulus(vertices)),
-        ("hunt_crossley_dissipation", HUNT_CROSSLEY_DISSIPATION),
-        ("mu_dynamic", friction),
-        ("mu_static", friction),
+        ("hydroelastic_modulus", hydroelastic_modulus(vertices, contact)),
+        ("hunt_crossley_dissipation", dissipation(model, contact)),
+        ("mu_dynamic", model.friction),
+        ("mu_static", model.friction),
     ):
         SubElement(properties, _drake(name)).text = _numbers([value])
 

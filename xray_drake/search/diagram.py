@@ -17,7 +17,6 @@ from xray_drake.perception.systems import (
 from xray_drake.policy.ranking import RANKINGS
 from xray_drake.policy.system import SearchPolicy
 from xray_drake.scene.heap import Heap
-from xray_drake.scene.sleep import Sleeper
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario, check_scenario
@@ -33,15 +32,12 @@ class SearchDiagram(Diagram):
         heap: what lies in the bin in the default context.
         station: plant, scene graph and objects.
         meshcat: as given.
-        sleeper: knows which objects sleep; whoever monitors a simulation of
-            the diagram uses this one.
     """
 
     scenario: Scenario
     heap: Heap
     station: StationParts
     meshcat: Meshcat | None
-    sleeper: Sleeper
 
 
 def build_search_diagram(
@@ -163,9 +159,6 @@ def build_search_diagram(
     diagram.heap = heap
     diagram.station = parts
     diagram.meshcat = meshcat
-    diagram.sleeper = Sleeper(
-        parts.plant, parts.scene_graph, parts.objects.values()
-    )
     return diagram
 
 

@@ -16,6 +16,7 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin
+from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
 
@@ -43,8 +44,9 @@ class Observer(Protocol):
 class SearchMonitor:
     """A simulator monitor that ends the rollout by the rules of PROTOCOL.md.
 
-    A Diagram cannot end its own simulation. This can, also in a plain
-    ``simulator.AdvanceTo`` in a notebook: see :func:`attach_monitor`.
+    A Diagram cannot end its own simulation, nor put its bodies to sleep. This
+    can, also in a plain ``simulator.AdvanceTo`` in a notebook: see
+    :func:`attach_monitor`. It is of one simulation.
 
     Attributes:
         record: what has happened so far.
@@ -70,7 +72,12 @@ class SearchMonitor:
         self._poses = diagram.GetOutputPort("cheat.body_poses")
         self._camera = diagram.GetOutputPort(f"{scenario.camera.name}.camera")
         self._removed: set[str] = set()
+        station = diagram.station
+        self._sleep = SleepMonitor(
+            station.plant, station.scene_graph, station.objects.values()
+        )
         self._decided = 0
+        self._drawing = False
         self.record = SearchRecord(
             horizon=scenario.horizon,
             policy=scenario.policy.name,
@@ -116,12 +123,21 @@ class SearchMonitor:
         )
 
     def _let_sleep(self, root_context: Context, status: GripperStatus) -> None:
-        """Lets the heap sleep unless an object is being drawn out of it."""
-        objects = self._diagram.station.objects.keys()
-        asleep = self._removed if status.stirring else objects
-        self._diagram.sleeper.set_asleep(
-            root_context, asleep - set(status.loose)
-        )
+        """Lets the heap sleep, but for what the gripper stirs.
+
+        What is drawn out wakes what it disturbs. A heap that sleeps is not yet
+        at rest: where the gripper waits for rest, all in the bin are awake.
+        """
+        drawing = status.stirring and not status.settling
+        if drawing:
+            if not self._drawing:
+                self._sleep.forget()
+            self._sleep(root_context, awake=status.loose)
+        else:
+            objects = self._diagram.station.objects.keys()
+            asleep = self._removed if status.settling else objects
+            self._sleep.set_asleep(root_context, asleep - set(status.loose))
+        self._drawing = drawing
 
     def _termination(self) -> EventStatus:
         return EventStatus.ReachedTermination(

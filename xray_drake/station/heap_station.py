@@ -77,7 +77,7 @@ def build_heap_station(
     builder = DiagramBuilder()
     plant, scene_graph = add_plant(builder, scenario.plant_config)
     add_bin(plant, with_tote=True)
-    items = add_objects(plant, heap.models)
+    items = add_objects(plant, heap.models, contact=scenario.scene.contact)
     for item in items:
         item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))
     plant.Finalize()

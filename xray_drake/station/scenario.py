@@ -23,8 +23,14 @@ from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
 from xray_drake.resources import models_dir
-from xray_drake.scene.cameras import check_renderer, pinhole_camera
-from xray_drake.scene.heap import HeapConfig
+from xray_drake.scene.cameras import (
+    CameraSampling,
+    check_renderer,
+    pinhole_camera,
+)
+from xray_drake.scene.contact import ContactConfig
+from xray_drake.scene.heap import ARRANGEMENTS, HeapConfig
+from xray_drake.scene.library import SPLITS
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.scene.targets import TARGET_NAMES
 
@@ -45,6 +51,17 @@ class ScenarioError(ValueError):
 
 
 @dataclass
+class RandomNumber:
+    """How many distractors: Poisson, truncated (paper section IV.A)."""
+
+    # Mean before truncation; at 0 the number is not random.
+    mean: float = 0.0
+    # Least and most.
+    least: int = 10
+    most: int = 15
+
+
+@dataclass
 class SceneConfig:
     """What lies in the bin."""
 
@@ -52,10 +69,20 @@ class SceneConfig:
     target: str = "box_2to1"
     # How many distractors are dropped on it.
     num_objects: int = 14
+    # Or their number is drawn anew for each heap.
+    random_number: RandomNumber = field(default_factory=RandomNumber)
+    # Which of the procedural distractors: "train", "validation" or "test".
+    split: str = "train"
+    # Those that come on a backing card as well are drawn from, too.
+    packaged: bool = False
     # Folders of meshes that replace the procedural distractors.
     meshes: list[str] = field(default_factory=list)
+    # Factor from the meshes' unit to metres.
+    mesh_scale: float = 1.0
     # How they are dropped.
     heap: HeapConfig = field(default_factory=HeapConfig)
+    # Their material.
+    contact: ContactConfig = field(default_factory=ContactConfig)
 
 
 @dataclass
@@ -143,6 +170,8 @@ class Scenario:
     scene: SceneConfig = field(default_factory=SceneConfig)
     # The overhead camera.
     camera: CameraConfig = field(default_factory=nominal_camera)
+    # How cameras are drawn around it, for datasets.
+    camera_sampling: CameraSampling = field(default_factory=CameraSampling)
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     gripper: GripperConfig = field(default_factory=GripperConfig)
@@ -255,6 +284,12 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
     """
     for key, value, choices in (
         ("scene.target", scenario.scene.target, TARGET_NAMES),
+        ("scene.split", scenario.scene.split, SPLITS),
+        (
+            "scene.heap.arrangement",
+            scenario.scene.heap.arrangement,
+            ARRANGEMENTS,
+        ),
         ("perception.detector", scenario.perception.detector, DETECTORS),
         ("perception.segmenter", scenario.perception.segmenter, SEGMENTERS),
         ("perception.occupancy", scenario.perception.occupancy, OCCUPANCIES),
@@ -269,6 +304,16 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             )
     for key, number, most in (
         ("scene.num_objects", scenario.scene.num_objects, MOST_OBJECTS),
+        (
+            "scene.random_number.least",
+            scenario.scene.random_number.least,
+            scenario.scene.random_number.most,
+        ),
+        (
+            "scene.random_number.most",
+            scenario.scene.random_number.most,
+            MOST_OBJECTS,
+        ),
         ("horizon", scenario.horizon, None),
     ):
         if number < 1:
@@ -277,8 +322,7 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             )
         if most is not None and number > most:
             raise ScenarioError(
-                f"{source}: {key} is {number}: more than {most} do not fit "
-                "into the bin"
+                f"{source}: {key} is {number}: it must be at most {most}"
             )
     for path in _MUST_BE_POSITIVE:
         value = operator.attrgetter(path)(scenario)
@@ -286,6 +330,12 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             raise ScenarioError(
                 f"{source}: {path} is {value}: it must be above 0"
             )
+    if not 0 <= scenario.scene.random_number.mean <= MOST_OBJECTS:
+        raise ScenarioError(
+            f"{source}: scene.random_number.mean is "
+            f"{scenario.scene.random_number.mean}: it must be from 0 to "
+            f"{MOST_OBJECTS}"
+        )
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
     if scenario.seed < 0:
@@ -297,7 +347,17 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
 _MUST_BE_POSITIVE = (
     "camera.width",
     "camera.height",
+    "scene.mesh_scale",
+    "scene.contact.pressure_gradient",
+    "scene.contact.dissipation",
+    "scene.contact.light_dissipation",
+    "scene.contact.light_areal_density",
+    "scene.contact.tumble_time",
     "scene.heap.drop_period",
+    "scene.heap.tray_length",
+    "scene.heap.tray_width",
+    "camera_sampling.least_radius",
+    "camera_sampling.least_focal",
     "scene.heap.max_attempts",
     "scene.heap.rest_round",
     "gripper.quasi_static.approach_time",

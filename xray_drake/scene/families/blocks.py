@@ -70,10 +70,10 @@ def brick(rng: np.random.Generator) -> Solid:
 
 
 FAMILIES = {
-    "tube": Family(tube, (350, 900)),
-    "ring": Family(ring, (350, 900)),
-    "disc": Family(disc, (400, 900)),
-    "wedge": Family(wedge, (300, 700)),
-    "star": Family(star, (400, 900)),
-    "brick": Family(brick, (400, 800)),
+    "tube": Family(tube, (350, 900), ((1, 1), (1, 1), (0.4, 1.2))),
+    "ring": Family(ring, (350, 900), ((1, 1), (0.65, 1), (0.6, 2.4))),
+    "disc": Family(disc, (400, 900), ((1, 1), (0.55, 1), (0.6, 2))),
+    "wedge": Family(wedge, (300, 700), ((0.75, 1.3), (0.75, 1.3), (0.75, 1.3))),
+    "star": Family(star, (400, 900), ((0.75, 1.3), (0.75, 1.3), (0.6, 2.5))),
+    "brick": Family(brick, (400, 800), ((0.8, 1.3), (0.8, 1.3), (0.6, 1.8))),
 }

@@ -162,13 +162,13 @@ def saucepan(rng: np.random.Generator) -> Solid:
 
 
 FAMILIES = {
-    "carton": Family(carton, (200, 500)),
-    "book": Family(book, (400, 700)),
-    "can": Family(can, (300, 700)),
-    "bottle": Family(bottle, (300, 700)),
-    "flask": Family(flask, (300, 700)),
-    "cup": Family(drinking_cup, (400, 1000)),
-    "bowl": Family(bowl, (400, 900)),
-    "tray": Family(tray, (350, 700)),
-    "saucepan": Family(saucepan, (500, 1100)),
+    "carton": Family(carton, (200, 500), ((0.8, 1.25), (0.75, 1.3), (0.8, 2))),
+    "book": Family(book, (400, 700), ((0.8, 1.2), (0.8, 1.3), (1, 1.8))),
+    "can": Family(can, (300, 700), ((1, 1), (1, 1), (0.45, 1.3))),
+    "bottle": Family(bottle, (300, 700), ((1, 1), (0.55, 1), (0.7, 1.3))),
+    "flask": Family(flask, (300, 700), ((1, 1), (0.7, 1.5), (0.75, 1.3))),
+    "cup": Family(drinking_cup, (400, 1000), ((1, 1), (1, 1), (0.6, 1.4))),
+    "bowl": Family(bowl, (400, 900), ((1, 1), (1, 1), (0.7, 1.9))),
+    "tray": Family(tray, (350, 700), ((0.8, 1.2), (0.8, 1.3), (0.8, 2))),
+    "saucepan": Family(saucepan, (500, 1100), ((1, 1), (1, 1), (0.8, 1.6))),
 }

@@ -189,13 +189,23 @@ def hook(rng: np.random.Generator) -> Solid:
 
 
 FAMILIES = {
-    "hammer": Family(hammer, (450, 1000)),
-    "spoon": Family(spoon, (1000, 1600)),
-    "fork": Family(fork, (2000, 2700)),
-    "spatula": Family(spatula, (700, 1200)),
-    "wrench": Family(wrench, (1000, 2700)),
-    "screwdriver": Family(screwdriver, (500, 1100)),
-    "dumbbell": Family(dumbbell, (350, 800)),
-    "bracket": Family(bracket, (500, 1200)),
-    "hook": Family(hook, (900, 1500)),
+    "hammer": Family(
+        hammer, (450, 1000), ((0.8, 1.15), (0.7, 1.3), (0.8, 1.4))
+    ),
+    "spoon": Family(spoon, (1000, 1600), ((0.8, 1.2), (0.6, 1.4), (0.8, 2.2))),
+    "fork": Family(fork, (2000, 2700), ((0.8, 1.2), (1.2, 2.4), (0.8, 2.5))),
+    "spatula": Family(
+        spatula, (700, 1200), ((0.85, 1.2), (0.65, 1.3), (0.8, 1.8))
+    ),
+    "wrench": Family(
+        wrench, (1000, 2700), ((0.8, 1.15), (0.7, 1.4), (0.7, 2.2))
+    ),
+    "screwdriver": Family(
+        screwdriver, (500, 1100), ((1, 1), (0.6, 1), (0.7, 1.2))
+    ),
+    "dumbbell": Family(dumbbell, (350, 800), ((1, 1), (1, 1), (0.7, 1.5))),
+    "bracket": Family(
+        bracket, (500, 1200), ((0.75, 1.3), (0.75, 1.3), (0.75, 1.3))
+    ),
+    "hook": Family(hook, (900, 1500), ((0.8, 1.3), (0.8, 1.4), (0.7, 2.2))),
 }

@@ -1,0 +1,232 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from xray_drake.cli import inspect as inspect_module
+from xray_drake.cli.main import app
+from xray_drake.dataset.manifest import Manifest, write_manifest
+from xray_drake.dataset.sample import Sample
+from xray_drake.dataset.shards import ShardAttributes, write_shard
+
+
+def _sample(heap_seed: int) -> Sample:
+    mask = np.zeros((24, 32), bool)
+    mask[10:14, 12:20] = True
+    X_WC = np.diag([1.0, -1, -1, 1])
+    X_WC[2, 3] = 0.8
+    X_WT = np.eye(4)
+    X_WT[2, 3] = 0.0025
+    return Sample(
+        depth=np.where(mask, 0.795, 0.8),
+        depth_without_target=np.full((24, 32), 0.8),
+        target_modal=mask,
+        target_amodal=mask,
+        instances=mask,
+        occupancy=mask,
+        intrinsics=np.array([[35.0, 0, 15.5], [0, 35, 11.5], [0, 0, 1]]),
+        X_WC=X_WC,
+        X_WT=X_WT,
+        target_size=np.array([0.19, 0.1, 0.005]),
+        object_names=(),
+        target_name="box_2to1",
+        heap_seed=heap_seed,
+        num_dropped=11,
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    manifest = Manifest(
+        seed=0,
+        targets=("box_2to1",),
+        splits={"train": 3},
+        shard_size=2,
+        views_per_heap=1,
+        height=24,
+        width=32,
+        scenario="name: tiny\n",
+    )
+    write_manifest(tmp_path, manifest)
+    for shard in manifest.expected_shards():
+        write_shard(
+            tmp_path / shard.name,
+            [_sample(shard.first + i) for i in range(shard.count)],
+            ShardAttributes(
+                split=shard.split,
+                scenario=manifest.scenario,
+                package_version="0.1.0",
+                drake_version="1.51.1",
+                dataset=manifest.fingerprint(),
+            ),
+        )
+    return tmp_path
+
+
+def _run(*arguments: object) -> Any:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.mark.parametrize("options", [[], ["--fast"]])
+def test_check_of_a_sound_dataset(folder: Path, options: list[str]) -> None:
+    result = _run("dataset", "check", folder, *options)
+    assert result.exit_code == 0
+    assert result.stdout.startswith("sound")
+    assert "3 of 3 samples in 2 shards" in result.stdout
+    assert len(result.stdout.splitlines()) == 1
+
+
+def test_check_of_a_damaged_dataset(folder: Path) -> None:
+    path = folder / "train-00001.h5"
+    data = bytearray(path.read_bytes())
+    data[3000] ^= 1
+    path.write_bytes(data)
+    result = _run("dataset", "check", folder)
+    assert result.exit_code == 1
+    assert result.stdout.splitlines() == [
+        "train-00001.h5: damaged: its checksum does not match",
+        "1 defect: 2 of 3 samples in 2 shards",
+    ]
+    (folder / "train-00000.h5").unlink()
+    result = _run("dataset", "check", "--fast", folder)
+    assert result.exit_code == 1
+    assert result.stdout.splitlines()[0] == "train-00000.h5: missing"
+
+
+def test_check_as_json(folder: Path) -> None:
+    (folder / "train-00000.h5").unlink()
+    result = _run("dataset", "check", "--json", folder)
+    assert result.exit_code == 1
+    report = json.loads(result.stdout)
+    assert not report["sound"]
+    assert report["defects"] == [
+        {
+            "file": "train-00000.h5",
+            "sample": None,
+            "key": None,
+            "problem": "missing",
+        }
+    ]
+    assert report["num_samples"] == 1
+    assert report["num_expected"] == 3
+    assert report["statistics"]["fully_visible"] == 1.0
+
+
+def test_info(folder: Path) -> None:
+    result = _run("dataset", "info", folder)
+    assert result.exit_code == 0
+    for words in ("3 of 3", "box_2to1", "32×24", "Drake 1.51.1", "100.0%"):
+        assert words in result.stdout
+    as_json = _run("dataset", "info", "--json", folder)
+    assert json.loads(as_json.stdout)["statistics"]["objects_max"] == 0
+
+
+@pytest.mark.parametrize(
+    "command", [["dataset", "check"], ["dataset", "info"], ["inspect"]]
+)
+def test_no_dataset_is_one_line(tmp_path: Path, command: list[str]) -> None:
+    result = _run(*command, tmp_path / "nowhere")
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert "nowhere is no dataset" in line
+    assert "xray-drake generate" in line
+
+
+def test_inspect_writes_a_figure(folder: Path) -> None:
+    out = folder / "figure.png"
+    result = _run("inspect", folder, "--samples", 2, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"wrote {out}\n"
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_inspect_writes_beside_the_caller_by_default(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: Any
+) -> None:
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    assert _run("inspect", folder).exit_code == 0
+    assert Path("samples.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "line", "code"),
+    [
+        (["--index", 3], "has no sample 3: there are 3, from 0", 2),
+        (["--split", "test"], "holds no sample of what was asked for", 2),
+        (["--split", "tests"], "no split is called 'tests'", 2),
+        (["--target", "lid"], "holds no sample of what was asked for", 2),
+        (["--out", "figure.xyz"], "should end in .png, .pdf or .svg", 2),
+        (["--out", "nowhere/figure.png"], "nowhere/figure.png", 1),
+    ],
+)
+def test_what_inspect_cannot_do_is_one_line(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[Any],
+    line: str,
+    code: int,
+) -> None:
+    monkeypatch.chdir(folder)
+    result = _run("inspect", folder, *options)
+    assert result.exit_code == code
+    (found,) = result.stderr.splitlines()
+    assert line in found
+
+
+def test_a_draw_depends_on_its_seed(folder: Path) -> None:
+    def drawn(seed: int, samples: int = 2) -> list[int]:
+        chosen = inspect_module.choose(
+            folder,
+            samples=samples,
+            indices=None,
+            split=None,
+            targets=None,
+            seed=seed,
+        )
+        for index, sample in chosen:
+            assert sample.heap_seed == index
+        return [index for index, _ in chosen]
+
+    assert drawn(0) == drawn(0)
+    assert len({tuple(drawn(seed)) for seed in range(8)}) > 1
+    assert drawn(0, samples=99) == [0, 1, 2]
+
+
+def test_inspect_in_meshcat_goes_around(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from xray_drake.inspector import dataset as viewers
+
+    shown: list[str] = []
+
+    class _Viewer:
+        url = "http://localhost:7000"
+
+        def show(self, path: str, layer: object) -> None:
+            shown.append(path)
+
+    answers = iter(["", "", ""])
+
+    def enter(prompt: str) -> str:
+        try:
+            return next(answers)
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr(viewers, "start_viewer", _Viewer)
+    monkeypatch.setattr("builtins.input", enter)
+    result = _run("inspect", folder, "--meshcat", "--index", 2, "--index", 0)
+    assert result.exit_code == 0, result.output
+    assert "http://localhost:7000" in result.stdout
+    lines = [li for li in result.stdout.splitlines() if li[:6] == "sample"]
+    assert [line.split(":")[0] for line in lines] == [
+        "sample 2",
+        "sample 0",
+        "sample 2",
+        "sample 0",
+    ]
+    assert shown.count("sample/scene") == 4
+    assert not (Path.cwd() / "samples.png").exists()

@@ -1,0 +1,145 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from pytest import MonkeyPatch
+
+from tests.dataset.test_generator import plan
+from xray_drake.dataset import engine
+from xray_drake.dataset.check import check_dataset
+from xray_drake.dataset.engine import open_dataset, run_processes, run_ray
+from xray_drake.dataset.manifest import Manifest
+
+
+def names(shards: tuple) -> list[str]:
+    return [shard.name for shard in shards]
+
+
+def small(images: int = 3) -> Manifest:
+    return plan(splits={"train": images}, views_per_heap=1, shard_size=1)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dataset")
+    missing = open_dataset(folder, small(), resume=False)
+    progress: list[tuple[str, int]] = []
+    reports = list(
+        run_processes(
+            folder,
+            small(),
+            missing,
+            workers=2,
+            progress=lambda *told: progress.append(told),
+        )
+    )
+    assert sorted(r.name for r in reports) == names(missing)
+    assert sorted(progress) == [(name, 1) for name in names(missing)]
+    return folder
+
+
+def test_the_number_of_workers_changes_nothing(
+    made: Path, tmp_path: Path
+) -> None:
+    missing = open_dataset(tmp_path, small(), resume=False)
+    for _ in run_processes(tmp_path, small(), missing[::-1], workers=1):
+        pass
+    for name in names(missing):
+        one, other = (folder / name for folder in (made, tmp_path))
+        assert one.read_bytes() == other.read_bytes()
+    assert check_dataset(tmp_path).sound
+
+
+def test_only_what_is_missing_or_damaged_is_made_again(made: Path) -> None:
+    manifest = small()
+    assert open_dataset(made, manifest, resume=True) == ()
+    shards = manifest.expected_shards()
+    first, second = made / shards[0].name, made / shards[1].name
+    kept, flipped = second.read_bytes(), bytearray(first.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    whole = first.read_bytes()
+    first.write_bytes(flipped)
+    second.unlink()
+    (made / ".train-00002.h5.1.part").write_bytes(b"begun")
+    told: list[tuple[Path, str]] = []
+    try:
+        missing = open_dataset(
+            made, manifest, resume=True, damaged=lambda *t: told.append(t)
+        )
+        assert missing == shards[:2]
+        ((path, reason),) = told
+        assert path == first
+        assert first.name in reason
+        assert not list(made.glob(".*"))
+    finally:
+        first.write_bytes(whole)
+        second.write_bytes(kept)
+
+
+def test_a_folder_that_is_something_else(made: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="give --resume"):
+        open_dataset(made, small(), resume=False)
+    with pytest.raises(ValueError, match="resume with the same arguments"):
+        open_dataset(made, small(4), resume=True)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match="holds other files"):
+        open_dataset(tmp_path, small(), resume=True)
+
+
+def test_a_killed_process_is_tried_again_then_named(
+    tmp_path: Path, monkeypatch: MonkeyPatch
+) -> None:
+    """A shard whose process dies is made by another, once."""
+    manifest = small(1)
+    missing = open_dataset(tmp_path, manifest, resume=False)
+    monkeypatch.setattr(engine, "_work", _die)
+    with pytest.raises(RuntimeError, match=r"train-00000.h5 died .* 2 times"):
+        list(run_processes(tmp_path, manifest, missing, workers=1))
+
+
+def _die(*args: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_an_error_in_a_process_names_the_shard(tmp_path: Path) -> None:
+    manifest = small(1)
+    missing = open_dataset(tmp_path, manifest, resume=False)
+    gone = tmp_path / "gone"
+    with pytest.raises(RuntimeError, match=r"train-00000.h5: .*No such file"):
+        list(run_processes(gone, manifest, missing, workers=1))
+
+
+def test_nothing_is_lost_to_kill_9(tmp_path: Path) -> None:
+    """The command itself, killed in the middle of its work."""
+    command = [
+        *(sys.executable, "-m", "xray_drake.cli.main", "generate"),
+        *(str(tmp_path), "--images", "3", "--shard-size", "1"),
+        *("--num-objects", "2", "--workers", "1"),
+    ]
+    process = subprocess.Popen(command, start_new_session=True)
+    first = tmp_path / "train-00000.h5"
+    deadline = time.monotonic() + 120
+    while not first.is_file() and time.monotonic() < deadline:
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    before = first.stat().st_mtime_ns
+    again = subprocess.run(
+        [*command, "--resume"], capture_output=True, text=True, check=True
+    )
+    assert "3 images in" in again.stdout
+    assert first.stat().st_mtime_ns == before
+    report = check_dataset(tmp_path)
+    assert report.sound
+    assert len(report.samples) == 3
+
+
+def test_ray_is_an_extra(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(RuntimeError, match=r"pip install 'xray-drake\[cluster"):
+        list(run_ray(tmp_path, small(), (), address="auto"))

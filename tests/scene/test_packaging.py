@@ -1,0 +1,221 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xray_drake.scene.library import make_object, object_names, split_of
+from xray_drake.scene.object_model import (
+    ObjectModel,
+    TexturedMesh,
+    object_from_pieces,
+)
+from xray_drake.scene.packaging import (
+    CARD_COLOR,
+    CARD_DENSITY,
+    CARD_THICKNESS,
+    LARGEST_CARD,
+    MARGIN,
+    flattest_side,
+    packaged_model,
+)
+from xray_drake.scene.shapes import box, box_of, rod
+
+NAMES = ("bottle_003", "bowl_001", "gear_002", "figurine_000", "airplane_001")
+
+BOX = object_from_pieces(
+    "block", list(box(0.03, 0.1, 0.06).surfaces), density=500
+)
+
+
+def rotations() -> st.SearchStrategy[np.ndarray]:
+    unit = st.floats(-1, 1)
+    return (
+        st.tuples(unit, unit, unit, unit)
+        .filter(lambda q: sum(x * x for x in q) > 0.01)
+        .map(trimesh.transformations.quaternion_matrix)
+    )
+
+
+def turned(model: ObjectModel, X: np.ndarray) -> ObjectModel:
+    R = X[:3, :3]
+    return ObjectModel(
+        name=model.name,
+        visual=model.visual.copy().apply_transform(X),
+        pieces=tuple(piece @ R.T for piece in model.pieces),
+        mass=model.mass,
+        p_OCom=R @ model.p_OCom,
+        inertia=R @ model.inertia @ R.T,
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_masses_add_up(name: str) -> None:
+    model = make_object(name)
+    both = packaged_model(model, 1)
+    card = both.pieces[-1]
+    found = box_of(card)
+    assert found is not None
+    size, center = found
+    card_mass = CARD_DENSITY * size.prod()
+    assert both.mass == pytest.approx(model.mass + card_mass)
+    assert len(both.pieces) == len(model.pieces) + 1
+    # The object moves rigidly, and the common centre is the origin.
+    np.testing.assert_allclose(both.p_OCom, 0, atol=1e-12)
+    before, after = (
+        np.concatenate(m.pieces[: len(model.pieces)]) for m in (model, both)
+    )
+    X, _, cost = trimesh.registration.procrustes(
+        before, after, reflection=False, scale=False
+    )
+    assert cost < 1e-16
+    np.testing.assert_allclose(
+        model.mass * X[:3, 3] + card_mass * center, 0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inertia_is_that_of_both_bodies(name: str) -> None:
+    model = make_object(name)
+    both = packaged_model(model, 2)
+    card = trimesh.Trimesh(both.pieces[-1]).convex_hull
+    card.density = CARD_DENSITY
+    a, b, c = np.linalg.eigvalsh(both.inertia)
+    assert 0 < a <= b <= c <= a + b
+    # The sum of the principal moments does not depend on the frame.
+    arm = np.linalg.norm(card.center_mass)
+    other = card.mass * arm / model.mass
+    expected = (
+        np.trace(model.inertia)
+        + np.trace(card.moment_inertia)
+        + 2 * card.mass * arm**2
+        + 2 * model.mass * other**2
+    )
+    assert np.trace(both.inertia) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_card_and_object_are_one_closed_body(name: str) -> None:
+    model = make_object(name)
+    both = packaged_model(model, 3)
+    found = box_of(both.pieces[-1])
+    assert found is not None
+    size, center = found
+    assert both.visual.is_volume
+    assert both.visual.body_count == 1
+    assert CARD_THICKNESS[0] <= size[2] <= CARD_THICKNESS[1]
+    assert max(size) <= LARGEST_CARD
+    # The object is on the card, nowhere over its edge and not under it.
+    np.testing.assert_allclose(
+        both.visual.bounds[:, :2],
+        np.stack([center - size / 2, center + size / 2])[:, :2],
+        atol=1e-9,
+    )
+    assert both.visual.bounds[0, 2] == pytest.approx(center[2] - size[2] / 2)
+
+
+@given(X=rotations(), seed=st.integers(0, 1000))
+@settings(max_examples=25, deadline=None)
+def test_a_box_lies_on_its_largest_side_however_it_was_turned(
+    X: np.ndarray, seed: int
+) -> None:
+    both = packaged_model(turned(BOX, X), seed)
+    found = box_of(both.pieces[-1])
+    assert found is not None
+    size, _ = found
+    height = both.extents[2] - size[2]
+    assert height == pytest.approx(0.03 - 0.0005, abs=1e-6)
+    assert 0.1 * MARGIN[0] - 1e-6 <= size[0] <= 0.1 * MARGIN[1] + 1e-6
+    assert 0.06 * MARGIN[0] - 1e-6 <= size[1] <= 0.06 * MARGIN[1] + 1e-6
+
+
+def test_it_does_not_lie_where_it_would_tip_over() -> None:
+    solid = rod((0, 0, 0), (0, 0, 0.1), 0.02, 0.004) + box(
+        0.06, 0.06, 0.02, (0, 0, -0.01)
+    )
+    model = object_from_pieces("spike", list(solid.surfaces), density=500)
+    up = flattest_side(model) @ (0, 0, 1)
+    assert abs(up[2]) < 0.99 or up[2] > 0
+
+
+def test_an_open_mesh_with_masses_of_its_own() -> None:
+    open_mesh = trimesh.creation.box((0.08, 0.05, 0.03))
+    open_mesh.update_faces(np.arange(len(open_mesh.faces)) > 1)
+    assert not open_mesh.is_volume
+    model = ObjectModel(
+        name="toys/shell",
+        visual=open_mesh,
+        pieces=(np.array(trimesh.creation.box((0.08, 0.05, 0.03)).vertices),),
+        mass=0.05,
+        p_OCom=np.array([0.01, 0, 0.002]),
+        inertia=np.diag([2e-5, 3e-5, 4e-5]),
+        friction=0.4,
+    )
+    both = packaged_model(model, 0)
+    assert both.name == "toys/shell_packaged"
+    assert both.friction == 0.4
+    assert both.mass > 0.05
+    np.testing.assert_allclose(both.p_OCom, 0)
+    assert len(both.visual.faces) == len(open_mesh.faces) + 12
+
+
+def test_a_texture_moves_along_and_the_card_is_plain() -> None:
+    image = np.arange(8 * 6 * 3, dtype=np.uint8).reshape(8, 6, 3)
+    corners = np.asarray(BOX.visual.vertices)
+    uv = np.random.default_rng(0).random((len(corners), 2))
+    model = replace(
+        BOX,
+        textured=TexturedMesh(
+            corners.astype(np.float32),
+            np.asarray(BOX.visual.faces, dtype=np.int32),
+            uv.astype(np.float32),
+            image,
+        ),
+    )
+    both = packaged_model(model, 0)
+    assert both.textured is not None
+
+    def seen(mesh: TexturedMesh) -> np.ndarray:
+        height, width = mesh.image.shape[:2]
+        u, v = mesh.uv.T.astype(float)
+        return mesh.image[
+            np.floor((1 - v) * height).astype(int),
+            np.floor(u * width).astype(int),
+        ]
+
+    assert model.textured is not None
+    before, after = seen(model.textured), seen(both.textured)
+    np.testing.assert_array_equal(after[:8], before)
+    np.testing.assert_array_equal(after[8:], np.tile(CARD_COLOR, (8, 1)))
+    np.testing.assert_allclose(
+        np.ptp(both.textured.vertices, axis=0), both.extents, atol=1e-6
+    )
+
+
+def test_a_card_is_never_longer_than_allowed() -> None:
+    long = object_from_pieces(
+        "bar", list(box(0.24, 0.02, 0.01).surfaces), density=500
+    )
+    found = box_of(packaged_model(long, 5).pieces[-1])
+    assert found is not None
+    assert found[0][0] == pytest.approx(LARGEST_CARD)
+
+
+def test_packaged_objects_of_the_library() -> None:
+    plain = object_names(split="test")
+    names = object_names(split="test", packaged=True)
+    assert names[: len(plain)] == plain
+    extra = names[len(plain) :]
+    assert 0.18 < len(extra) / len(names) < 0.25  # the paper's: 13 of 59
+    assert all(name.endswith("_packaged") for name in extra)
+    assert {split_of(name) for name in extra} == {"test"}
+    model = make_object(extra[0])
+    assert model is make_object(extra[0])
+    assert model.name == extra[0]
+    # Every object has one, listed or not.
+    assert make_object("bottle_000_packaged").name == "bottle_000_packaged"
+    assert split_of("bottle_000_packaged") == split_of("bottle_000")
+    with pytest.raises(ValueError, match="bottle_999_packaged"):
+        make_object("bottle_999_packaged")

@@ -1,0 +1,1 @@
+"""Labelled images on disk: writing, checking, reading. No Drake in here."""

@@ -1,0 +1,259 @@
+"""Runs the making of shards over processes, or over a Ray cluster."""
+
+import multiprocessing
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from xray_drake.dataset.files import remove_leftovers, write_whole_file
+from xray_drake.dataset.generator import ShardReport, make_shard
+from xray_drake.dataset.manifest import (
+    MANIFEST_NAME,
+    ExpectedShard,
+    Manifest,
+    check_same,
+    write_manifest,
+)
+from xray_drake.dataset.shards import ShardError, verify_shard
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_ATTEMPTS = 2
+"""How often a shard is tried whose process dies (killed for memory, say)."""
+
+Progress = Callable[[str, int], None]
+"""Is told a shard's name and how many of its samples are made."""
+
+
+def open_dataset(
+    folder: Path,
+    manifest: Manifest,
+    *,
+    resume: bool,
+    damaged: Callable[[Path, str], None] = lambda path, reason: None,
+) -> tuple[ExpectedShard, ...]:
+    """Begins a dataset, or takes one up again.
+
+    Args:
+        folder: made if it does not exist.
+        manifest: what is to be in it.
+        resume: take up what a folder holds; otherwise it must hold none.
+        damaged: told of a file that is removed, to be made again.
+
+    Returns:
+        The shards that are missing.
+
+    Raises:
+        ValueError: the folder holds a dataset and ``resume`` is off, or
+            another one than the manifest's, or other things.
+        OSError: it cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if (folder / MANIFEST_NAME).is_file():
+        if not resume:
+            raise ValueError(
+                f"{folder} holds a dataset: give --resume to go on with it, "
+                "or another folder"
+            )
+        check_same(folder, manifest)
+    elif any(not path.name.startswith(".") for path in folder.iterdir()):
+        raise ValueError(
+            f"{folder} holds other files: choose an empty or a new folder"
+        )
+    else:
+        write_manifest(folder, manifest)
+    remove_leftovers(folder)
+    missing = []
+    for shard in manifest.expected_shards():
+        path = folder / shard.name
+        if path.is_file():
+            try:
+                verify_shard(path)
+                continue
+            except ShardError as error:
+                damaged(path, str(error))
+                path.unlink()
+        missing.append(shard)
+    return tuple(missing)
+
+
+def run_processes(
+    folder: Path,
+    manifest: Manifest,
+    shards: Sequence[ExpectedShard],
+    *,
+    workers: int,
+    progress: Progress = lambda name, samples: None,
+) -> Iterator[ShardReport]:
+    """Makes shards, each in a process of its own, and yields their reports.
+
+    A process ends with its shard, so that memory does not grow. Which process
+    makes a shard, and when, changes nothing in it.
+
+    Args:
+        folder: of the dataset.
+        manifest: of the dataset.
+        shards: which to make.
+        workers: processes at a time, one thread each.
+        progress: told of samples made.
+
+    Raises:
+        RuntimeError: a shard could not be made; the message names it. The
+            others under way are stopped; what is on disk stays.
+    """
+    for name in _THREADS:
+        os.environ[name] = "1"
+    context = multiprocessing.get_context("forkserver")
+    # Forked from a server that has imported everything, a process starts at
+    # once; one that is spawned takes seconds.
+    context.set_forkserver_preload(["xray_drake.dataset.generator"])
+    waiting = [(shard, 1) for shard in reversed(shards)]
+    running: dict[Connection, tuple[BaseProcess, ExpectedShard, int]] = {}
+    with ExitStack() as stack:
+        stack.callback(_stop, running)
+        while waiting or running:
+            while waiting and len(running) < workers:
+                shard, attempt = waiting.pop()
+                receiver, sender = context.Pipe(duplex=False)
+                process = context.Process(
+                    target=_work, args=(folder, manifest, shard, sender)
+                )
+                process.start()
+                sender.close()
+                running[receiver] = process, shard, attempt
+            for ready in wait(list(running)):
+                assert isinstance(ready, Connection)
+                process, shard, attempt = running[ready]
+                try:
+                    kind, value = ready.recv()
+                except EOFError:
+                    kind, value = "died", None
+                if kind == "progress":
+                    progress(shard.name, value)
+                    continue
+                del running[ready]
+                ready.close()
+                process.join()
+                if kind == "done":
+                    yield value
+                elif kind == "died" and attempt < _ATTEMPTS:
+                    progress(shard.name, 0)
+                    waiting.append((shard, attempt + 1))
+                elif kind == "died":
+                    raise RuntimeError(
+                        f"the process that made {shard.name} died with status "
+                        f"{process.exitcode} {attempt} times: look for memory "
+                        "that ran out, then go on with --resume"
+                    )
+                else:
+                    raise RuntimeError(
+                        f"{shard.name}: {value}; go on with --resume"
+                    )
+
+
+def _stop(running: dict[Connection, tuple[BaseProcess, Any, Any]]) -> None:
+    for process, *_ in running.values():
+        process.terminate()
+    for process, *_ in running.values():
+        process.join()
+
+
+def _work(
+    folder: Path, manifest: Manifest, shard: ExpectedShard, sender: Connection
+) -> None:
+    try:
+        report = make_shard(
+            folder,
+            manifest,
+            shard,
+            progress=lambda samples: sender.send(("progress", samples)),
+        )
+    except KeyboardInterrupt:
+        return
+    except (ValueError, RuntimeError, OSError) as error:
+        sender.send(("failed", " ".join(str(error).split())))
+    else:
+        sender.send(("done", report))
+
+
+def run_ray(
+    folder: Path,
+    manifest: Manifest,
+    shards: Sequence[ExpectedShard],
+    *,
+    address: str,
+    progress: Progress = lambda name, samples: None,
+) -> Iterator[ShardReport]:
+    """Makes shards on the machines of a Ray cluster and yields their reports.
+
+    The machines need this package (and folders of meshes, where they are
+    used, at the same paths), but no common file system: shards travel to this
+    machine and are written here. The same manifest gives the same dataset as
+    :func:`run_processes` where machines have the same Drake and processor
+    features.
+
+    Args:
+        folder: of the dataset.
+        manifest: of the dataset.
+        shards: which to make.
+        address: of the cluster's head, "auto" for one on this machine, or
+            "local:N" to start one here with N workers.
+        progress: told of samples made, shard by shard.
+
+    Raises:
+        RuntimeError: Ray is not installed, there is no cluster at the
+            address, or a shard could not be made.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise RuntimeError(
+            "--cluster needs Ray: pip install 'xray-drake[cluster]'"
+        ) from error
+    local = address.removeprefix("local:") if "local:" in address else ""
+    try:
+        if local:
+            ray.init(num_cpus=int(local), include_dashboard=False)
+        else:
+            ray.init(address=address)
+    except (ConnectionError, ValueError) as error:
+        raise RuntimeError(
+            f"no Ray cluster at {address!r}: {error}; start one with "
+            "'ray start --head'"
+        ) from error
+    # One task a process: memory does not grow.
+    task = ray.remote(num_cpus=1, max_calls=1, max_retries=_ATTEMPTS - 1)(
+        _make_remotely
+    )
+    try:
+        pending = {task.remote(manifest, shard): shard for shard in shards}
+        while pending:
+            (ready, *_), _ = ray.wait(list(pending))
+            shard = pending.pop(ready)
+            try:
+                report, data = ray.get(ready)
+            except ray.exceptions.RayError as error:
+                reason = str(error).strip().splitlines()[-1]
+                raise RuntimeError(
+                    f"{shard.name}: {reason}; go on with --resume"
+                ) from error
+            write_whole_file(folder / shard.name, data)
+            progress(shard.name, report.samples)
+            yield report
+    finally:
+        ray.shutdown()
+
+
+def _make_remotely(
+    manifest: Manifest, shard: ExpectedShard
+) -> tuple[ShardReport, bytes]:
+    for name in _THREADS:
+        os.environ[name] = "1"
+    with tempfile.TemporaryDirectory() as folder:
+        report = make_shard(Path(folder), manifest, shard)
+        return report, (Path(folder) / shard.name).read_bytes()

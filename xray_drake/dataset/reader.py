@@ -1,0 +1,238 @@
+"""A dataset as torch reads it."""
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from xray_drake.dataset.images import (
+    LabelledImages,
+    augmented_depth,
+    downscale,
+)
+from xray_drake.dataset.manifest import SPLITS, DatasetError, read_manifest
+from xray_drake.dataset.sample import Sample, SampleKey
+from xray_drake.dataset.shards import ShardReader
+from xray_drake.seeding import stream
+
+Transform = Callable[[LabelledImages, np.random.Generator], LabelledImages]
+
+_MAX_OPEN = 64
+"""Shards that stay open per process; systems limit files to 1024 or fewer."""
+
+
+class OccupancyDataset(Dataset[dict[str, Any]]):
+    """Augmented depth images and their occupancy distributions.
+
+    An item is a dict, with (h, w) the size after scaling down:
+
+    - ``input``: (3, h, w) float32, see
+      :func:`xray_drake.dataset.images.augmented_depth`;
+    - ``occupancy``: (1, h, w) float32 in [0, 1];
+    - ``modal``, ``amodal``: (1, h, w) bool;
+    - ``target_size``: (3,) float32, m;
+    - ``index``: int, of the item in this dataset: see ``keys``;
+    - ``key``: str, for people.
+
+    Camera and target poses are not in it: a transform makes them untrue.
+    :meth:`sample` gives them.
+
+    Reads an image when it is asked for, in whatever process; a damaged image
+    raises ``ShardError`` with the shard's name.
+
+    Attributes:
+        folder: of the dataset.
+        keys: the key of each item.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        split: str | None = None,
+        images: Literal["all", "train", "validation"] = "all",
+        validation_share: float = 0.2,
+        targets: Iterable[str] | None = None,
+        downscale: int = 1,
+        transform: Transform | None = None,
+        seed: int = 0,
+        incomplete: bool = False,
+    ) -> None:
+        """Reads the manifest and the keys of all shards.
+
+        Args:
+            folder: with ``dataset.json`` and shards.
+            split: by object: train, validation or test; None is all.
+            images: by image: a part of the heaps, all views and snapshots of
+                a heap on one side; the same heaps whatever the split.
+            validation_share: share of the heaps in ``"validation"``.
+            targets: only samples of these; None is all.
+            downscale: a whole factor by which images become smaller.
+            transform: changes images before they are scaled down, e.g. an
+                :class:`~xray_drake.dataset.augmentation.Augmentation`.
+            seed: of the transform; with the epoch and the index it decides.
+            incomplete: take what is there of a dataset that is being made.
+
+        Raises:
+            DatasetError: the folder is no dataset, a shard is missing or
+                damaged, or nothing is left.
+            ValueError: an argument is none of those allowed.
+        """
+        if split is not None and split not in SPLITS:
+            raise ValueError(
+                f"no split is called {split!r}: {', '.join(SPLITS)}"
+            )
+        if images not in ("all", "train", "validation"):
+            raise ValueError(
+                f"images are all, train or validation, not {images!r}"
+            )
+        if not 0 <= validation_share <= 1:
+            raise ValueError(f"validation_share is {validation_share}")
+        self.folder = Path(folder)
+        manifest = read_manifest(self.folder)
+        if (
+            downscale < 1
+            or manifest.height % downscale
+            or manifest.width % downscale
+        ):
+            raise ValueError(
+                f"images of {manifest.height}×{manifest.width} cannot be "
+                f"scaled down by {downscale}"
+            )
+        self._downscale = downscale
+        self._transform = transform
+        self._seed = seed
+        # Shared, so that a loader's workers that stay alive see it change.
+        self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
+        self._paths: list[Path] = []
+        self._open_shards: OrderedDict[int, ShardReader] = OrderedDict()
+
+        wanted = None if targets is None else set(targets)
+        keys: list[SampleKey] = []
+        places: list[tuple[int, int]] = []
+        sizes: list[np.ndarray] = []
+        focal: list[float] = []
+        for expected in manifest.expected_shards():
+            if split not in (None, expected.split):
+                continue
+            path = self.folder / expected.name
+            if not path.is_file():
+                if incomplete:
+                    continue
+                raise DatasetError(
+                    f"{path} is missing: resume 'xray-drake generate'"
+                )
+            shard_index = len(self._paths)
+            self._paths.append(path)
+            with ShardReader(path) as shard:
+                target_size = shard.rows("target_size")
+                intrinsics = shard.rows("intrinsics")
+                for index, key in enumerate(shard.keys):
+                    if wanted is not None and key.target_name not in wanted:
+                        continue
+                    held_out = is_held_out(key.heap_seed, validation_share)
+                    if images != "all" and held_out != (images == "validation"):
+                        continue
+                    keys.append(key)
+                    places.append((shard_index, index))
+                    sizes.append(target_size[index])
+                    focal.append(intrinsics[index, 0, 0])
+        if not keys:
+            raise DatasetError(
+                f"{self.folder} holds no sample of what was asked for"
+            )
+        self.keys = tuple(keys)
+        # Arrays, not lists: forked workers would copy lists as they count.
+        self._places = np.array(places)
+        self._sizes = np.array(sizes, dtype=np.float32)
+        self._focal_lengths = np.array(focal)
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open_shards": OrderedDict()}
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        index = self._checked(index)
+        images = self.images(index)
+        if self._transform is not None:
+            rng = stream(
+                self._seed, "augmentation", int(self._epoch.item()), index
+            )
+            images = self._transform(images, rng)
+        images = downscale(images, self._downscale)
+
+        def tensor(image: np.ndarray) -> torch.Tensor:
+            return torch.from_numpy(np.ascontiguousarray(image)[None])
+
+        return {
+            "input": torch.from_numpy(
+                augmented_depth(images.depth, images.modal)
+            ),
+            "occupancy": tensor(images.occupancy),
+            "modal": tensor(images.modal),
+            "amodal": tensor(images.amodal),
+            "target_size": torch.from_numpy(self._sizes[index]),
+            "index": index,
+            "key": str(self.keys[index]),
+        }
+
+    def set_epoch(self, epoch: int) -> None:
+        """Makes the transform draw anew; reaches running workers as well."""
+        self._epoch[0] = epoch
+
+    def images(self, index: int) -> LabelledImages:
+        """Returns the images of an item as they are on disk.
+
+        Raises:
+            IndexError: there is no such item.
+        """
+        index = self._checked(index)
+        shard, row = self._shard_of(index)
+        return LabelledImages(
+            depth=shard.image("depth", row),
+            modal=shard.image("target_modal", row),
+            amodal=shard.image("target_amodal", row),
+            occupancy=shard.image("occupancy", row),
+            focal_length=float(self._focal_lengths[index]),
+        )
+
+    def sample(self, index: int) -> Sample:
+        """Returns all that is on disk of an item.
+
+        Raises:
+            IndexError: there is no such item.
+        """
+        shard, row = self._shard_of(self._checked(index))
+        return shard.sample(row)
+
+    def _checked(self, index: int) -> int:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"item {index} of {len(self)}")
+        return index % len(self)
+
+    def _shard_of(self, index: int) -> tuple[ShardReader, int]:
+        number, row = self._places[index].tolist()
+        shard = self._open_shards.pop(number, None)
+        if shard is None:
+            if len(self._open_shards) >= _MAX_OPEN:
+                _, oldest = self._open_shards.popitem(last=False)
+                oldest.close()
+            shard = ShardReader(self._paths[number])
+        self._open_shards[number] = shard
+        return shard, row
+
+
+def is_held_out(heap_seed: int, share: float) -> bool:
+    """Tells whether all images of a heap are for validation.
+
+    Decided by the seed alone: the same on every machine and for every target.
+    """
+    digest = hashlib.blake2b(str(heap_seed).encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "big") < share * 2**64

@@ -1,0 +1,266 @@
+"""Makes of one mesh file what a heap needs: the slow part of the import."""
+
+import logging
+import os
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+from trimesh.visual import ColorVisuals
+
+from xray_drake.scene.meshes.cache import (
+    content_key,
+    read_arrays,
+    write_arrays,
+)
+from xray_drake.scene.meshes.decompose import (
+    coacd_pieces,
+    convex_pieces,
+    decimated,
+    simplified_pieces,
+)
+from xray_drake.scene.meshes.files import side_files
+from xray_drake.scene.meshes.losses import measure_losses
+from xray_drake.scene.meshes.pieces import merged_pieces
+from xray_drake.scene.meshes.reading import (
+    RawMesh,
+    closed_surface,
+    convex_components,
+    read_mesh,
+)
+from xray_drake.scene.meshes.solids import surface, union
+from xray_drake.scene.meshes.textures import mean_color, read_texture
+from xray_drake.scene.object_model import TexturedMesh
+
+ALGORITHM = 1
+"""Raised with every change of what comes of a file, so that caches renew."""
+
+VISUAL_FACES = 5000
+"""Cameras and Meshcat get no more, unless fewer would show."""
+
+VISUAL_SHARE = 0.995
+VISUAL_DEVIATION = 0.0005
+"""m. This share of the true vertices lies as near to the decimated surface."""
+
+_SAMPLES = 30_000
+_NEAREST = 6
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the result of an import depends on beside the file.
+
+    Attributes:
+        scale: metres per unit of the file.
+        max_pieces: convex pieces an object may have.
+        max_vertices: vertices a piece may have.
+    """
+
+    scale: float
+    max_pieces: int
+    max_vertices: int
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """An object of one kg/m³ in its body frame, as arrays.
+
+    The frame's origin is the centre of mass.
+
+    Attributes:
+        vertices: (n, 3) of the closed surface that is drawn, m.
+        faces: (m, 3) of it.
+        pieces: (k, 3) vertices of all convex pieces, m.
+        piece_sizes: vertices of each.
+        volume: m³.
+        inertia: (3, 3) about the centre of mass at a density of 1 kg/m³.
+        losses: missing, added, volume and silhouette, as in ``Losses``.
+        color: (3,) mean colour, or (0,) where the file has none.
+        texture_vertices: (t, 3) float32, (0, 3) without texture; so the rest.
+        texture_faces: (f, 3) int32.
+        texture_uv: (t, 2) float32.
+        texture_image: (h, w, 3) uint8.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    pieces: np.ndarray
+    piece_sizes: np.ndarray
+    volume: np.ndarray
+    inertia: np.ndarray
+    losses: np.ndarray
+    color: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    texture_vertices: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 3), np.float32)
+    )
+    texture_faces: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 3), np.int32)
+    )
+    texture_uv: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 2), np.float32)
+    )
+    texture_image: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 0, 3), np.uint8)
+    )
+
+    @property
+    def textured(self) -> TexturedMesh | None:
+        """The texture, where the file has one."""
+        if not len(self.texture_vertices):
+            return None
+        return TexturedMesh(
+            vertices=self.texture_vertices,
+            faces=self.texture_faces,
+            uv=self.texture_uv,
+            image=self.texture_image,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one file.
+
+    Attributes:
+        prepared: the object, or ``None`` if the file cannot be used.
+        reason: why not, one line.
+        cached: whether it came from the cache.
+        kept: whether it is in the cache now.
+    """
+
+    prepared: Prepared | None
+    reason: str = ""
+    cached: bool = False
+    kept: bool = True
+
+
+def prepare_cached(path: Path, settings: Settings, cache: Path) -> Outcome:
+    """Prepares a file, or reads from the cache what became of it before."""
+    try:
+        sources = [path, *side_files(path)]
+        key = content_key(sources, f"{ALGORITHM} {settings}")
+    except OSError as error:
+        return Outcome(None, f"cannot be read ({error.strerror})")
+    arrays = read_arrays(cache, key)
+    if arrays is not None:
+        if set(arrays) == {"reason"}:
+            return Outcome(None, str(arrays["reason"]), cached=True)
+        if set(arrays) == {item.name for item in fields(Prepared)}:
+            return Outcome(Prepared(**arrays), cached=True)
+    try:
+        prepared = prepare(path, settings)
+    except ValueError as error:
+        reason = str(error)
+        kept = write_arrays(cache, key, {"reason": np.array(reason)})
+        return Outcome(None, reason, kept=kept)
+    except Exception as error:
+        # Geometry libraries throw all kinds; the other files are still good.
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        _logger.debug("%s", path, exc_info=True)
+        return Outcome(None, f"cannot be decomposed ({words[:200]})")
+    kept = write_arrays(cache, key, vars(prepared))
+    return Outcome(prepared, kept=kept)
+
+
+def limit_threads() -> None:
+    """Keeps a worker process to one core; call before CoACD is used."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+
+
+def prepare(path: Path, settings: Settings) -> Prepared:
+    """Reads, closes, decomposes and measures one mesh file.
+
+    Raises:
+        ValueError: it cannot be used; the message says why in one line.
+    """
+    raw = read_mesh(path, settings.scale)
+    closed, pieces = _shape(raw, settings)
+    losses = measure_losses(closed, pieces)
+    center = np.array(closed.center_mass)
+    closed.density = 1.0
+    shown = _decimated_visual(closed)
+    texture = read_texture(raw.mesh)
+    color = np.zeros(0)
+    extra = {}
+    if texture is not None:
+        color = mean_color(texture)
+        extra = {
+            "texture_vertices": (texture.vertices - center).astype(np.float32),
+            "texture_faces": texture.faces,
+            "texture_uv": texture.uv,
+            "texture_image": texture.image,
+        }
+    elif isinstance(raw.mesh.visual, ColorVisuals) and raw.mesh.visual.defined:
+        color = np.asarray(raw.mesh.visual.face_colors)[:, :3].mean(axis=0)
+        color = color / 255
+    return Prepared(
+        vertices=np.asarray(shown.vertices) - center,
+        faces=np.asarray(shown.faces, dtype=np.int32),
+        pieces=np.concatenate(pieces) - center,
+        piece_sizes=np.array([len(piece) for piece in pieces]),
+        volume=np.array(closed.volume),
+        inertia=np.array(closed.moment_inertia),
+        losses=np.array(
+            [losses.missing, losses.added, losses.volume, losses.silhouette]
+        ),
+        color=color,
+        **extra,
+    )
+
+
+def _shape(
+    raw: RawMesh, settings: Settings
+) -> tuple[trimesh.Trimesh, list[np.ndarray]]:
+    """Returns the closed surface and its simplified convex pieces."""
+    most = settings.max_pieces
+    if raw.groups:
+        hulls = list(raw.groups)
+        closed = surface(union(hulls))
+        return closed, simplified_pieces(
+            merged_pieces(hulls, most), settings.max_vertices
+        )
+    mended = closed_surface(raw.mesh)
+    if mended is None:
+        hulls = coacd_pieces(raw.mesh, preprocess="on")
+    else:
+        hulls = convex_components(mended)
+        if not hulls:
+            return mended, convex_pieces(mended, most, settings.max_vertices)
+    if not hulls:
+        raise ValueError("it is not closed, and CoACD makes nothing of it")
+    return surface(union(hulls)), simplified_pieces(
+        merged_pieces(hulls, most), settings.max_vertices
+    )
+
+
+def _decimated_visual(closed: trimesh.Trimesh) -> trimesh.Trimesh:
+    faces = VISUAL_FACES
+    while faces < len(closed.faces):
+        coarse = decimated(closed, faces)
+        if coarse.is_volume and deviation(closed, coarse) <= VISUAL_DEVIATION:
+            return coarse
+        faces *= 2
+    return closed
+
+
+def deviation(fine: trimesh.Trimesh, coarse: trimesh.Trimesh) -> float:
+    """Bounds how far 99.5 % of a mesh's vertices lie from a coarser one, m.
+
+    The rest are spikes and folds of scans. Each vertex is compared with the
+    triangles of the few samples of the coarser surface that are nearest, so the
+    true distance may be less.
+    """
+    points = np.asarray(fine.vertices)
+    samples, owners = trimesh.sample.sample_surface(coarse, _SAMPLES, seed=0)
+    samples = np.concatenate([samples, coarse.triangles_center])
+    owners = np.concatenate([owners, np.arange(len(coarse.faces))])
+    _, near = cKDTree(samples).query(points, k=_NEAREST)
+    triangles = coarse.triangles[owners[near.ravel()]]
+    repeated = np.repeat(points, _NEAREST, axis=0)
+    closest = trimesh.triangles.closest_point(triangles, repeated)
+    distances = np.linalg.norm(closest - repeated, axis=1)
+    least = distances.reshape(-1, _NEAREST).min(axis=1)
+    return float(np.percentile(least, 100 * VISUAL_SHARE))
