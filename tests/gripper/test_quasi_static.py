@@ -254,6 +254,7 @@ def test_what_the_status_says_during_the_lift() -> None:
     assert status.mode is GripperMode.BUSY
     assert status.held == "brick"
     assert status.stirring
+    assert not status.settling
     assert status.loose == ("brick",)
     assert status.outcome is Outcome.NONE
 
@@ -302,6 +303,7 @@ def test_a_judged_failure_moves_nothing_and_says_why() -> None:
         status = gripper.advance_to(0.02 * i)
         assert gripper.forces == []
         assert not status.stirring
+        assert not status.settling
         assert status.loose == ()
         assert status.held == ""
         busy += status.mode is GripperMode.BUSY
@@ -324,12 +326,14 @@ def test_an_object_that_does_not_follow_slips() -> None:
     assert status.mode is GripperMode.BUSY
     assert status.held == ""
     assert status.stirring  # what it stirred may still move
+    assert status.settling
     assert status.loose == ("brick",)
     status = gripper.advance_to(time + 1.0)
     assert status.mode is GripperMode.IDLE
     assert status.outcome is Outcome.SLIPPED
     assert status.reason
     assert not status.stirring
+    assert not status.settling
     assert gripper.forces == []
 
 
@@ -544,6 +548,27 @@ def test_it_does_not_wait_for_ever() -> None:
     )
     cell.run(take("brick"), limit=5.0)
     assert cell.status.outcome is Outcome.LIFTED
+
+
+def test_it_settles_between_the_lift_and_the_way_to_the_tote() -> None:
+    cell = Cell(Judge(), {"brick": on_floor(0.05, 0.02)}, brick())
+    cell.command(take("brick"))
+    said: list[tuple[bool, bool, str]] = []
+    while cell.context.get_time() < 4.0:
+        cell.simulator.AdvanceTo(cell.context.get_time() + 0.02)
+        status = cell.status
+        now = (status.stirring, status.settling, status.held)
+        if not said or said[-1] != now:
+            said.append(now)
+            if status.settling:  # all the way up
+                assert cell.pose("brick")[2, 3] > BIN_WALL_HEIGHT + 0.05
+    assert said == [
+        (False, False, ""),
+        (True, False, "brick"),
+        (True, True, "brick"),
+        (False, False, "brick"),
+        (False, False, ""),
+    ]
 
 
 def test_an_object_alone_in_the_bin() -> None:

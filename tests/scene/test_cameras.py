@@ -9,7 +9,13 @@ from pydrake.systems.sensors import CameraConfig
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.scene.cameras import add_camera, add_renderer, pinhole_camera
+from xray_drake.scene.cameras import (
+    CameraSampling,
+    add_camera,
+    add_renderer,
+    pinhole_camera,
+    sample_camera,
+)
 from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.scene.plant import (
     add_bin,
@@ -207,3 +213,46 @@ def test_two_cameras_share_a_renderer() -> None:
         source = diagram.GetSubsystemByName(f"{name}_camera")
         camera = source.get_output_port().Eval(source.CreateDefaultContext())
         assert camera.width == width
+
+
+def test_drawn_cameras_keep_to_their_ranges() -> None:
+    """PROTOCOL.md, "Scene": radius, angle, roll, focal length, centre."""
+    nominal, sampling = nominal_camera(), CameraSampling(enabled=True)
+    rng = np.random.default_rng(0)
+    cameras = [
+        pinhole_camera(sample_camera(nominal, sampling, rng))
+        for _ in range(200)
+    ]
+    middle = np.array([[0.0, 0.0, 0.0]])
+    p_WC = np.array([c.X_WC[:3, 3] for c in cameras])
+    radius = np.linalg.norm(p_WC, axis=1)
+    assert 0.7 <= radius.min() < 0.72
+    assert 0.88 < radius.max() <= 0.9
+    angle = np.rad2deg(np.arccos(p_WC[:, 2] / radius))
+    assert 9 < angle.max() <= 10
+    assert angle.min() < 1
+    shifts, rolls, focals = [], [], []
+    for camera in cameras:
+        K = camera.intrinsics
+        # It looks at the middle of the floor.
+        np.testing.assert_allclose(
+            camera.project(middle)[0, :2], K[:2, 2], atol=1e-9
+        )
+        x = camera.X_WC[:3, 0]
+        rolls.append(np.rad2deg(np.arctan2(x[1], x[0])))
+        shifts.append(K[:2, 2] - pinhole_camera(nominal).intrinsics[:2, 2])
+        focals.append(K[0, 0])
+        assert K[0, 0] == K[1, 1]
+    assert 2.9 < np.abs(shifts).max() <= 3
+    assert 9 < np.abs(rolls).max() <= 10.5  # the tilt turns x a little
+    assert 535 <= min(focals) < 537
+    assert 558 < max(focals) <= 560
+
+
+def test_without_sampling_the_nominal_camera_is_used() -> None:
+    nominal = nominal_camera()
+    camera = sample_camera(nominal, CameraSampling(), np.random.default_rng(0))
+    assert camera is not nominal
+    one, other = pinhole_camera(camera), pinhole_camera(nominal)
+    np.testing.assert_array_equal(one.X_WC, other.X_WC)
+    np.testing.assert_array_equal(one.intrinsics, other.intrinsics)

@@ -1,18 +1,22 @@
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from xray_drake.scene import heap as module
+from xray_drake.scene.contact import ContactConfig, angular_damping
 from xray_drake.scene.heap import Heap, HeapConfig, HeapError, drop_heap
 from xray_drake.scene.library import make_object
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
+    PlantObject,
     add_bin,
     add_objects,
     add_plant,
@@ -24,6 +28,11 @@ from xray_drake.scene.targets import target_model
 
 TARGET = target_model("box_2to1")
 OBJECTS = [make_object(name) for name in ("brick_003", "disc_001", "star_002")]
+
+MANY = [
+    *OBJECTS,
+    *map(make_object, ("spoon_001", "bowl_003", "gear_001", "car_002")),
+]
 
 WIDE = HeapConfig(
     offset_sigma=0.3,
@@ -142,6 +151,10 @@ def test_a_heap_without_its_target_is_drawn_again(
     failed = [f"seed {heap.seed}, draw {i}" for i in range(1, heap.attempts)]
     assert all(draw in caplog.text for draw in failed)
     assert f"seed {heap.seed}, draw {heap.attempts}" not in caplog.text
+    assert len(heap.failures) == heap.attempts - 1
+    for draw, failure in zip(failed, heap.failures, strict=True):
+        assert draw in failure
+        assert failure in caplog.text
 
 
 def test_a_seed_that_fails_again_and_again(
@@ -155,6 +168,181 @@ def test_a_seed_that_fails_again_and_again(
         drop_heap(TARGET, OBJECTS[:1], 10_003, config=config)
     assert "\n" not in str(caught.value)
     assert caplog.text.count("no rest within 0.05 s") == 2
+
+
+@pytest.mark.parametrize(
+    ("config", "contact", "reason"),
+    [
+        (HeapConfig(drop_height=np.nan), ContactConfig(), "NaN"),
+        (HeapConfig(drop_height=np.nan, sleep=True), ContactConfig(), "NaN"),
+        (HeapConfig(), ContactConfig(pressure_gradient=1e30), "stopped"),
+    ],
+)
+def test_a_simulation_that_breaks_down_fails_the_draw(
+    config: HeapConfig,
+    contact: ContactConfig,
+    reason: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    config = replace(config, max_attempts=2)
+    with (
+        caplog.at_level(logging.WARNING),
+        pytest.raises(HeapError, match="seed 10000"),
+    ):
+        drop_heap(TARGET, OBJECTS[:1], 10_000, config=config, contact=contact)
+    assert caplog.text.count("seed 10000, draw") == 2
+    assert caplog.text.count(reason) == 2
+
+
+@pytest.fixture(scope="module")
+def grown() -> Heap:
+    return drop_heap(TARGET, OBJECTS, 10_000, snapshots=(1, 2, 3))
+
+
+def test_a_growing_heap_is_remembered(grown: Heap) -> None:
+    assert [heap.num_dropped for heap in grown.growth] == [1, 2]
+    times = [heap.settle_time for heap in (*grown.growth, grown)]
+    assert times == sorted(times)
+    for heap in grown.growth:
+        assert heap.models == (TARGET, *OBJECTS[: heap.num_dropped])
+        assert set(heap.poses) == {model.name for model in heap.models}
+        assert all(inside_bin(X_WO[:3, 3]) for X_WO in heap.poses.values())
+        assert (heap.seed, heap.attempts) == (10_000, 1)
+        assert heap.growth == ()
+    assert grown.num_dropped == 3
+    assert max(motion(grown, 0.5).values()) < 1e-3
+
+
+def test_snapshots_are_taken_of_one_and_the_same_heap(grown: Heap) -> None:
+    """What was there before has at most been pushed by what fell on it."""
+    one, two = grown.growth
+    for before, after in ((one, two), (two, grown)):
+        for name in before.poses:
+            step = after.poses[name][:3, 3] - before.poses[name][:3, 3]
+            assert np.linalg.norm(step) < 0.1
+    assert drop_heap(TARGET, OBJECTS[:2], 10_000).growth == ()
+
+
+@pytest.mark.parametrize(
+    ("config", "snapshots"),
+    [
+        (HeapConfig(), (2,)),
+        (HeapConfig(sleep=True), ()),
+        (HeapConfig(arrangement="dump"), ()),
+        (HeapConfig(arrangement="dump", sleep=True), ()),
+    ],
+    ids=["snapshots", "sleep", "dump", "dump and sleep"],
+)
+def test_however_it_is_dropped_the_seed_makes_the_same_heap(
+    config: HeapConfig, snapshots: tuple[int, ...]
+) -> None:
+    one, other = (
+        drop_heap(TARGET, OBJECTS, 10_001, config=config, snapshots=snapshots)
+        for _ in range(2)
+    )
+    assert len(one.growth) == len(other.growth) == len(snapshots)
+    for a, b in zip((*one.growth, one), (*other.growth, other), strict=True):
+        assert a.settle_time == b.settle_time
+        assert list(a.poses) == list(b.poses)
+        for name, X_WO in a.poses.items():
+            np.testing.assert_array_equal(b.poses[name], X_WO)
+
+
+def test_a_heap_that_is_dumped_lies_in_the_bin_at_rest() -> None:
+    config = HeapConfig(arrangement="dump")
+    heap = drop_heap(TARGET, MANY, 10_003, config=config)
+    assert heap.num_dropped == len(MANY)
+    assert heap.models == (TARGET, *MANY)
+    for model in heap.models:
+        X_WO = heap.poses[model.name]
+        assert inside_bin(X_WO[:3, 3])
+        assert -3e-3 < lowest(model, X_WO) < 0.1
+    assert max(motion(heap, 0.5).values()) < 1e-3
+    # All fell at once, not one after another.
+    assert heap.settle_time < len(MANY) * 0.28 + 4.0
+
+
+def test_what_is_dumped_overlaps_nothing_before_it_falls(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tops: list[float] = []
+    bottoms: list[float] = []
+    places: list[tuple[np.ndarray, np.ndarray]] = []
+    release = module._Drop._release
+
+    def noted(
+        drop: Any, item: PlantObject, R: RotationMatrix, xy: Any, z: float
+    ) -> None:
+        release(drop, item, R, xy, z)
+        points = item.model.visual.vertices @ drop._pose(item)[:3, :3].T
+        points = points + drop._pose(item)[:3, 3]
+        bottoms.append(points[:, 2].min())
+        tops.append(points[:, 2].max())
+        places.append((points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
+
+    monkeypatch.setattr(module._Drop, "_release", noted)
+    config = HeapConfig(arrangement="dump")
+    assert drop_heap(TARGET, OBJECTS, 10_001, config=config).attempts == 1
+    assert bottoms[0] == pytest.approx(0.05)  # the target, alone
+    assert min(bottoms[1:]) == pytest.approx(0.25, abs=2e-3)
+    for i in range(2, 4):
+        for j in range(1, i):
+            (low, high), (least, most) = places[i], places[j]
+            if (low < most).all() and (high > least).all():
+                assert bottoms[i] > tops[j] or bottoms[j] > tops[i]
+    for low, high in places[1:]:
+        if (high - low)[0] < 0.3:
+            assert low[0] > -0.15 - 1e-9
+            assert high[0] < 0.15 + 1e-9
+        if (high - low)[1] < 0.24:
+            assert low[1] > -0.12 - 1e-9
+            assert high[1] < 0.12 + 1e-9
+
+
+@pytest.mark.parametrize("arrangement", ["one_by_one", "dump"])
+def test_a_heap_dropped_half_asleep_rests_when_all_are_awake(
+    arrangement: str,
+) -> None:
+    config = HeapConfig(arrangement=arrangement, sleep=True)
+    heap = drop_heap(TARGET, MANY, 10_002, config=config)
+    assert heap.attempts == 1
+    assert len(heap.objects) >= len(MANY) - 1
+    assert max(motion(heap, 1.0).values()) < 1e-3
+
+
+def test_the_contact_material_reaches_the_plant(
+    monkeypatch: pytest.MonkeyPatch, heap: Heap
+) -> None:
+    items: list[PlantObject] = []
+
+    def noted(*args: Any, **kwargs: Any) -> list[PlantObject]:
+        items[:] = add_objects(*args, **kwargs)
+        return items
+
+    monkeypatch.setattr(module, "add_objects", noted)
+    contact = ContactConfig(tumble_time=0.1, dissipation=10.0)
+    other = drop_heap(TARGET, OBJECTS, 10_000, contact=contact)
+    assert len(items) == 4
+    for item in items:
+        assert item.joint.default_angular_damping() == pytest.approx(
+            angular_damping(item.model, contact)
+        )
+    assert any(
+        np.abs(other.poses[name] - X_WO).max() > 1e-6
+        for name, X_WO in heap.poses.items()
+    )
+
+
+def test_a_heap_that_is_dumped_has_no_snapshots() -> None:
+    config = HeapConfig(arrangement="dump")
+    with pytest.raises(ValueError, match="no snapshots"):
+        drop_heap(TARGET, OBJECTS, 1, config=config, snapshots=[1])
+
+
+def test_an_arrangement_that_does_not_exist() -> None:
+    config = HeapConfig(arrangement="pile")
+    with pytest.raises(ValueError, match=r"pile.*one_by_one, dump"):
+        drop_heap(TARGET, OBJECTS, 1, config=config)
 
 
 def test_nothing_beside_the_target() -> None:

@@ -1,5 +1,6 @@
 from collections.abc import Callable, Iterable
 
+import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -94,14 +95,13 @@ def test_a_cube_that_falls_wakes_what_it_is_about_to_strike() -> None:
     cubes = stack(2, near=(0.07, 0.0, HALF), ball=(0.2, 0.1, HALF))
     cubes.monitor.wake(cubes.root, ["ball"])
     cubes.put("ball", 0.0, 0.0, 0.3)
-    gap = 2 * HALF
-    woken_at = {}
-    while cubes.height("ball") - cubes.height("c1") > gap:
+    woken_at: dict[str, float] = {}
+    gap = 1.0
+    while gap > 0.0:
+        gap = cubes.height("ball") - cubes.height("c1") - 2 * HALF
         cubes.advance(0.005)
         for name in {"c0", "c1", "near"} - cubes.locked():
-            woken_at.setdefault(
-                name, cubes.height("ball") - cubes.height("c1") - gap
-            )
+            woken_at.setdefault(name, gap)
     assert set(woken_at) == {"c0", "c1"}
     # Before it is there, and not much before: it falls 2 m/s.
     assert all(0.0 < distance < 0.07 for distance in woken_at.values())
@@ -334,6 +334,16 @@ def test_attaching_it_twice() -> None:
     cubes.fall_asleep()
     assert cubes.height("c0") == pytest.approx(HALF, abs=5e-4)
     assert cubes.height("c1") == pytest.approx(HALF, abs=5e-4)
+
+
+def test_what_went_to_nan_does_not_sleep() -> None:
+    cubes = stack(1, lost=(0.1, 0.1, HALF))
+    cubes.monitor.wake(cubes.root, ["lost"])
+    cubes.put("lost", 0.0, np.nan, HALF)
+    for i in range(20):
+        cubes.root.SetTime(1.0 + LOOK * i)
+        cubes.monitor(cubes.root)
+    assert cubes.locked() == {"c0"}
 
 
 def test_unknown_names() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator, SimulatorStatus
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, EventStatus
 
-from xray_drake.messages import Outcome, SearchAction
+from xray_drake.messages import GripperStatus, Outcome, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.plant import BIN_WALL_HEIGHT
 from xray_drake.search import rollout
@@ -175,6 +175,79 @@ def test_the_heap_sleeps_between_the_actions(
             tiny_heap.poses[name][:3, 3],
             atol=5e-4,
         )
+
+
+class Sleepers:
+    """Notes after each step who sleeps, and what the gripper says.
+
+    Attributes:
+        seen: status and names of the sleepers.
+    """
+
+    def __init__(self, diagram: SearchDiagram, limit: float = 60.0) -> None:
+        self.seen: list[tuple[GripperStatus, set[str]]] = []
+        self._diagram = diagram
+        self._items = diagram.station.objects.values()
+        self._status = diagram.GetOutputPort("gripper_controller.status")
+        simulator = Simulator(diagram)
+        self._monitor = attach_monitor(simulator, diagram)
+        simulator.set_monitor(self._watch)
+        simulator.AdvanceTo(limit)
+
+    @property
+    def record(self) -> SearchRecord:
+        return self._monitor.record
+
+    def _watch(self, root: Context) -> EventStatus:
+        result = self._monitor(root)
+        context = self._diagram.station.plant.GetMyContextFromRoot(root)
+        asleep = {i.name for i in self._items if i.joint.is_locked(context)}
+        self.seen.append((self._status.Eval(root), asleep))
+        return result
+
+
+def test_who_sleeps_during_an_action(
+    found: SearchRecord, tiny_diagram: SearchDiagram, tiny_heap: Heap
+) -> None:
+    sleepers = Sleepers(tiny_diagram)
+    assert stripped(sleepers.record) == stripped(found)
+    everything = {model.name for model in tiny_heap.models}
+    taken: list[str] = []
+    lifted: dict[str, list[set[str]]] = {}
+    settled = 0
+    for status, asleep in sleepers.seen[:-1]:
+        assert status.held not in asleep
+        assert not asleep.intersection(status.loose)
+        if status.held and status.held not in taken:
+            taken.append(status.held)
+        removed = set(taken) - {status.held}
+        assert removed - set(status.loose) <= asleep
+        if status.settling:
+            assert everything - asleep == everything - removed
+            settled += 1
+        elif status.stirring:
+            lifted.setdefault(status.held, []).append(everything - asleep)
+        else:
+            assert asleep == everything - set(status.loose)
+    assert settled > 0
+    # The book lies on the target and the pad; block and plank stand apart.
+    assert lifted["book"][0] == {"book", "pad", TARGET}
+    assert all(awake <= lifted["book"][0] for awake in lifted["book"])
+    assert all({"block", "plank"} & awake == set() for awake in lifted[TARGET])
+
+
+def test_a_slip_wakes_all_in_the_bin_until_they_rest(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    tiny_scenario.horizon = 1
+    tiny_scenario.gripper.quasi_static.slip_distance = 1e-4
+    diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
+    sleepers = Sleepers(diagram)
+    assert sleepers.record.actions[0].outcome is Outcome.SLIPPED
+    settling = [asleep for status, asleep in sleepers.seen if status.settling]
+    assert len(settling) > 20
+    assert all(asleep == set() for asleep in settling)
+    assert sleepers.seen[-1][1] == {model.name for model in tiny_heap.models}
 
 
 def test_what_was_lifted_lies_in_the_tote(
@@ -351,13 +424,17 @@ def test_a_monitor_can_be_attached_on_the_way(
     assert monitor.record.actions[0].outcome is Outcome.LIFTED
 
 
+@pytest.mark.parametrize("time", [0.3, 0.6])
 def test_two_simulations_of_one_diagram_by_turns(
-    found: SearchRecord, tiny_diagram: SearchDiagram
+    found: SearchRecord, tiny_diagram: SearchDiagram, time: float
 ) -> None:
-    """As when a notebook steps one by hand and runs another in between."""
+    """As when a notebook steps one by hand and runs another in between.
+
+    The other begins while nothing is stirred, or during a lift.
+    """
     simulator = Simulator(tiny_diagram)
     monitor = attach_monitor(simulator, tiny_diagram)
-    simulator.AdvanceTo(0.3)
+    simulator.AdvanceTo(time)
     between = Simulator(tiny_diagram)
     attach_monitor(between, tiny_diagram)
     between.AdvanceTo(1.0)

@@ -7,8 +7,18 @@ import trimesh
 
 from xray_drake.scene.heap import drop_heap
 from xray_drake.scene.library import object_names
-from xray_drake.station.objects import choose_objects, make_heap
-from xray_drake.station.scenario import Scenario, ScenarioError
+from xray_drake.station.objects import (
+    choose_objects,
+    imported_objects,
+    make_heap,
+    truncated_poisson,
+)
+from xray_drake.station.scenario import (
+    RandomNumber,
+    Scenario,
+    ScenarioError,
+    load_scenario,
+)
 
 
 def scenario(seed: int = 10_000, count: int = 3, *meshes: Path) -> Scenario:
@@ -123,3 +133,46 @@ def test_what_falls_and_how_it_falls_are_independent(
     assert heap.attempts == 1
     assert len(starts) == 2
     assert len(set(starts)) == 2
+
+
+def test_the_number_is_poisson_between_its_ends() -> None:
+    """The paper: mean 12, from 10 to 15 (section IV.A)."""
+    rng = np.random.default_rng(0)
+    number = RandomNumber(mean=12.0, least=10, most=15)
+    drawn = [truncated_poisson(number, rng) for _ in range(4000)]
+    share = np.bincount(drawn, minlength=17) / len(drawn)
+    assert set(drawn) == set(range(10, 16))
+    # P(11) / P(12) = 12 / 12, P(15) / P(12) = 12^3 / (13 · 14 · 15).
+    assert share[11] / share[12] == pytest.approx(1, abs=0.15)
+    assert share[15] / share[12] == pytest.approx(0.633, abs=0.1)
+
+
+def test_the_papers_heaps_differ_in_number_and_hold_packages() -> None:
+    paper = load_scenario("paper")
+    counts, names = set(), set()
+    for seed in range(12):
+        paper.seed = seed
+        objects = choose_objects(paper)
+        counts.add(len(objects))
+        names |= {model.name for model in objects}
+    assert len(counts) > 2
+    assert 10 <= min(counts) <= max(counts) <= 15
+    packaged = [name for name in names if name.endswith("_packaged")]
+    assert 0.1 < len(packaged) / len(names) < 0.35
+
+
+def test_meshes_in_another_unit(tmp_path: Path) -> None:
+    folder = tmp_path / "millimetres"
+    folder.mkdir()
+    trimesh.creation.box((30, 40, 50)).export(folder / "a.stl")
+    given = scenario(10_000, 1, folder)
+    given.scene.mesh_scale = 1e-3
+    (model,) = imported_objects(given).values()
+    assert max(model.extents) == pytest.approx(0.05)
+
+
+def test_snapshots_are_spread_over_the_growth() -> None:
+    given = scenario(10_000, 4)
+    given.scene.heap.snapshot_timeout = 0.1
+    heap = make_heap(given, snapshots=2)
+    assert [state.num_dropped for state in (*heap.growth, heap)] == [3, 4]

@@ -304,3 +304,28 @@ def test_tags_of_drakes_schema(text: str, said: str) -> None:
 def test_a_scenario_made_in_python_is_checked_too() -> None:
     with pytest.raises(ScenarioError, match="scenario: horizon is 0"):
         check_scenario(replace(Scenario(), horizon=0))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("scene: {split: all}", "scene.split is 'all': choose one of train"),
+        (
+            "scene: {heap: {arrangement: pile}}",
+            "scene.heap.arrangement is 'pile': choose one of one_by_one, dump",
+        ),
+        (
+            "scene: {random_number: {mean: 12, least: 16, most: 15}}",
+            "scene.random_number.least is 16: it must be at most 15",
+        ),
+        (
+            "scene: {random_number: {mean: -1}}",
+            "scene.random_number.mean is -1.0: it must be from 0 to 100",
+        ),
+        ("scene: {mesh_scale: 0}", "scene.mesh_scale is 0.0"),
+        ("scene: {contact: {tumble_time: 0}}", "scene.contact.tumble_time"),
+        ("camera_sampling: {enable: true}", "mean camera_sampling.enabled?"),
+    ],
+)
+def test_what_heaps_and_datasets_depend_on(text: str, said: str) -> None:
+    assert said in complaint(text)

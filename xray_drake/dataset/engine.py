@@ -120,7 +120,7 @@ def run_processes(
             while waiting and len(running) < workers:
                 shard, attempt = waiting.pop()
                 receiver, sender = context.Pipe(duplex=False)
-                process = context.Process(
+                process: BaseProcess = context.Process(
                     target=_work, args=(folder, manifest, shard, sender)
                 )
                 process.start()

@@ -41,7 +41,7 @@ _SNAPSHOT_ROUND = 0.1
 _LOOKS = 3
 """How often a heap is looked at within a round of the test for rest."""
 
-_NOISE = 2e-5
+_NOISE = 1e-4
 """m. What moves less between two looks is not toppling."""
 
 _DOZE_TIME = 1.0
@@ -81,7 +81,7 @@ class HeapConfig:
     sleep: bool = False
     # At rest: no body moves more than rest_motion (m) in rest_round (s).
     rest_round: float = 0.3
-    rest_motion: float = 0.0005
+    rest_motion: float = 0.0003
     # A heap that does not rest within this time after the last drop failed, s.
     rest_timeout: float = 8.0
     # A picture taken while the heap grows waits for the heap to move less than
@@ -455,7 +455,7 @@ def _topples(looks: list[np.ndarray]) -> bool:
     """
     first = np.linalg.norm(looks[1] - looks[0], axis=-1)
     last = np.linalg.norm(looks[-1] - looks[-2], axis=-1)
-    return bool(((last > _NOISE) & (last > first)).any())
+    return bool(((last > _NOISE) & (last > 1.5 * first)).any())
 
 
 def _random_rotation(rng: np.random.Generator) -> RotationMatrix:

@@ -193,7 +193,8 @@ class SleepMonitor:
             self._still = look.corners.copy()
             self._still_since = np.full(len(self._items), look.time)
         self._last = look
-        moved = _distance(look.corners, self._still) > config.quiet_motion
+        # Said so that a body that went to NaN is not still.
+        moved = ~(_distance(look.corners, self._still) <= config.quiet_motion)
         self._still[moved] = look.corners[moved]
         self._still_since[moved] = look.time
 
@@ -278,7 +279,7 @@ class SleepMonitor:
         fast = np.linalg.norm(v[:, 3:], axis=1) > config.impact_speed
         turn = np.linalg.norm(v[:, :3], axis=1) * self._radius * step
         straight = (v[:, 3:] * step) @ _AXES.T
-        fall = straight + (_GRAVITY * step**2 / 2) @ _AXES.T
+        fall = straight + (_GRAVITY * step**2) @ _AXES.T
         back = np.minimum(np.minimum(straight, fall), 0) - turn[:, None]
         forth = np.maximum(np.maximum(straight, fall), 0) + turn[:, None]
         swept = look._replace(
