@@ -53,6 +53,7 @@ def stack(number: int, **others: tuple[float, float, float]) -> Watched:
     """Cubes ``c0`` on the floor, ``c1`` on it, … that sleep, and others."""
     heights = [HALF + 2 * HALF * i for i in range(number)]
     cubes = Watched(
+        None,
         **{f"c{i}": (0.0, 0.0, z - 3e-4 * i) for i, z in enumerate(heights)},
         **others,
     )
@@ -81,7 +82,7 @@ def test_what_has_been_still_for_a_while_falls_asleep(
 def test_what_flies_never_sleeps_not_even_at_its_apex() -> None:
     cubes = Watched(flying=(0.0, 0.0, HALF))
     cubes.push("flying", 0.0, 0.0, 2.0)
-    heights = []
+    heights: list[float] = []
     while not heights or cubes.height("flying") > HALF + 1e-3:
         cubes.advance(0.005)
         heights.append(cubes.height("flying"))
@@ -192,6 +193,19 @@ def test_what_is_pulled_at_stays_awake_with_all_that_holds_it(
         assert set(cubes.items) - cubes.locked() == awake
     cubes.awake = set()
     cubes.fall_asleep()
+
+
+def test_what_is_lifted_lifts_what_sleeps_on_it() -> None:
+    cubes = stack(3, far=(0.1, 0.1, HALF))
+    before = {name: cubes.height(name) for name in cubes.items}
+    cubes.awake = {"c0"}
+    cubes.advance(LOOK)
+    for _ in range(30):
+        cubes.push("c0", 0.0, 0.0, 0.5)
+        cubes.advance(0.005)
+        assert cubes.locked() == {"far"}
+    for name in ("c0", "c1", "c2"):
+        assert cubes.height(name) - before[name] > 5e-3
 
 
 def test_a_pulled_cube_leaves_the_sleepers_that_it_was_among() -> None:

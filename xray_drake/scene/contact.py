@@ -20,18 +20,17 @@ class ContactConfig:
     # Drake's compliant bodies have pressure E·depth/H, H being half a piece's
     # thickness. One modulus E for all makes thin pieces very stiff, and the
     # 5 mm target hops for ever. So E is chosen per piece as this times H. At
-    # 2e7 objects sink 1.4 mm into each other on average, at 5e7 0.9; at 1e8
+    # 2e7 objects sink 1.4 mm into each other on average; the stiffer, the more
     # light ones hop.
-    pressure_gradient: float = 5e7
-    # s/m, Hunt-Crossley. At 30 a heap creeps: what must approach something in
-    # order to topple does so at some 30 mm/s, for seconds. At 3 it rests within
-    # one second of the last drop.
-    dissipation: float = 3.0
-    # s/m. But flat light things hop at 3, the target for ever. So dissipation
-    # rises from that to this, inversely as the square of their mass per area,
+    pressure_gradient: float = 4e7
+    # s/m, Hunt-Crossley, of heavy objects. At 30 a heap creeps for seconds
+    # before it rests.
+    dissipation: float = 6.0
+    # s/m. But what lies flat and is light hops at 6 (a step of 5 ms is long for
+    # it). So dissipation rises from that to this, inversely as mass per area,
     light_dissipation: float = 30.0
     # kg/m², and is reached here. (The target of 5 mm has 3.0.)
-    light_areal_density: float = 3.5
+    light_areal_density: float = 5.0
     # s. A free rotation decays over this time. It stands in for the rolling
     # resistance that rigid round bodies lack.
     tumble_time: float = 0.05
@@ -58,7 +57,7 @@ def dissipation(model: ObjectModel, config: ContactConfig) -> float:
     lightness = config.light_areal_density * width * length / model.mass
     return float(
         np.clip(
-            config.light_dissipation * lightness**2,
+            config.light_dissipation * lightness,
             config.dissipation,
             config.light_dissipation,
         )

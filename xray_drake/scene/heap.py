@@ -13,7 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.stats import truncnorm
 
-from xray_drake.scene.contact import ContactConfig
+from xray_drake.scene.contact import ContactConfig, angular_damping
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
     PlantObject,
@@ -43,6 +43,9 @@ _LOOKS = 3
 
 _NOISE = 1e-4
 """m. What moves less between two looks is not toppling."""
+
+_CALM_RATE = 20.0
+"""1/s, at which a calmed body loses speed."""
 
 _DOZE_TIME = 1.0
 _DOZE_STEP = 0.05
@@ -81,7 +84,16 @@ class HeapConfig:
     sleep: bool = False
     # At rest: no body moves more than rest_motion (m) in rest_round (s).
     rest_round: float = 0.3
-    rest_motion: float = 0.0003
+    rest_motion: float = 0.0005
+    # One that has been waited for for late_after (s) may move late_motion (m):
+    # one creeping object shall not cost the heap.
+    late_after: float = 1.2
+    late_motion: float = 0.001
+    # A heap that does not rest is calmed every so many seconds: for calm_time,
+    # s, its bodies' rotation is damped calm_factor times as strongly.
+    calm_period: float = 1.2
+    calm_time: float = 0.3
+    calm_factor: float = 20.0
     # A heap that does not rest within this time after the last drop failed, s.
     rest_timeout: float = 8.0
     # A picture taken while the heap grows waits for the heap to move less than
@@ -220,6 +232,7 @@ class _Drop:
         progress: Callable[[float], None] | None,
     ) -> None:
         self._config = config
+        self._contact = contact or ContactConfig()
         self._rng = rng
         self._progress = progress or (lambda share: None)
         builder = DiagramBuilder()
@@ -361,21 +374,52 @@ class _Drop:
         """
         config = self._config
         deadline = self._root.get_time() + config.rest_timeout
+        late = self._root.get_time() + config.late_after
+        calm_at = self._root.get_time() + config.calm_period
+        if config.sleep:
+            self._doze(deadline)
         looks: list[np.ndarray] = []
         while self._root.get_time() < deadline:
             if self._remove_outside():
                 looks = []
-            if config.sleep and not looks:
-                self._doze(deadline)
+            if self._root.get_time() > calm_at:
+                self._calm()
+                calm_at = self._root.get_time() + config.calm_period
+                looks = []
             looks = [*looks[-_LOOKS:], self._corners()]
             moved = np.linalg.norm(looks[-1] - np.array(looks), axis=-1)
-            still = float(moved.max()) <= config.rest_motion
+            still = float(moved.max()) <= (
+                config.rest_motion
+                if self._root.get_time() < late
+                else config.late_motion
+            )
             if still and len(looks) > _LOOKS and not _topples(looks):
                 return
             if not still:
-                looks = [] if config.sleep else looks[-1:]
+                looks = looks[-1:]
             self._advance(config.rest_round / _LOOKS)
         raise HeapError(f"no rest within {config.rest_timeout} s")
+
+    def _calm(self) -> None:
+        """Damps all motion for a moment.
+
+        A light body may hop, by micrometres and for ever, because a time step
+        is long for it; that carries it, and what it bears, along slowly. Once
+        it lies still, it stays so.
+        """
+        for item in self._all:
+            damping = angular_damping(item.model, self._contact)
+            turn = np.full(3, damping * self._config.calm_factor)
+            shift = np.full(3, item.model.mass * _CALM_RATE)
+            item.joint.SetDampingVector(
+                self._context, np.concatenate([turn, shift])
+            )
+        self._advance(self._config.calm_time)
+        for item in self._all:
+            damping = angular_damping(item.model, self._contact)
+            item.joint.SetDampingVector(
+                self._context, np.array([damping] * 3 + [0.0] * 3)
+            )
 
     def _doze(self, deadline: float) -> None:
         """Lets all fall asleep, then wakes them.
