@@ -1,5 +1,6 @@
 """Runs the making of shards over processes, or over a Ray cluster."""
 
+import gc
 import multiprocessing
 import os
 import tempfile
@@ -166,6 +167,8 @@ def _stop(running: dict[Connection, tuple[BaseProcess, Any, Any]]) -> None:
 def _work(
     folder: Path, manifest: Manifest, shard: ExpectedShard, sender: Connection
 ) -> None:
+    # What is imported stays: the collector need not look at it heap by heap.
+    gc.freeze()
     try:
         report = make_shard(
             folder,

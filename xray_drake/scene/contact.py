@@ -22,7 +22,7 @@ class ContactConfig:
     # 5 mm target hops for ever. So E is chosen per piece as this times H. At
     # 2e7 objects sink 1.4 mm into each other on average; the stiffer, the more
     # light ones hop.
-    pressure_gradient: float = 4e7
+    pressure_gradient: float = 5e7
     # s/m, Hunt-Crossley, of heavy objects. At 30 a heap creeps for seconds
     # before it rests.
     dissipation: float = 6.0
