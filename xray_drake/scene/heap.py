@@ -198,6 +198,11 @@ def drop_heap(
         raise ValueError(f"objects of a heap need distinct names: {names}")
     if snapshots and config.arrangement != "one_by_one":
         raise ValueError("a heap that is dumped has no snapshots")
+    if not all(0 < count < len(objects) for count in snapshots):
+        raise ValueError(
+            f"snapshots {sorted(snapshots)} of a heap of {len(objects)} "
+            f"objects: each must be from 1 to {len(objects) - 1}"
+        )
     failures: list[str] = []
     for attempt in range(1, config.max_attempts + 1):
         rng = stream(seed, "heap", attempt)
