@@ -157,6 +157,15 @@ def test_the_papers_heaps_differ_in_number() -> None:
         names |= {model.name for model in objects}
     assert len(counts) > 2
     assert 10 <= min(counts) <= max(counts) <= 15
+    assert not any(name.endswith("_packaged") for name in names)
+
+
+def test_packages_are_drawn_on_request() -> None:
+    given = scenario(10_000, 60)
+    given.scene.packaged = True
+    names = [model.name for model in choose_objects(given)]
+    packaged = [name for name in names if name.endswith("_packaged")]
+    assert 0.05 < len(packaged) / len(names) < 0.45
 
 
 def test_meshes_in_another_unit(tmp_path: Path) -> None:

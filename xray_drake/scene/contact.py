@@ -25,12 +25,13 @@ class ContactConfig:
     pressure_gradient: float = 5e7
     # s/m, Hunt-Crossley, of heavy objects. At 30 a heap creeps for seconds
     # before it rests.
-    dissipation: float = 6.0
-    # s/m. But what lies flat and is light hops at 6 (a step of 5 ms is long for
-    # it). So dissipation rises from that to this, inversely as mass per area,
+    dissipation: float = 3.0
+    # s/m. But what lies flat and is light hops at 3 (a step of 5 ms is long for
+    # it). So dissipation rises from that to this, inversely as the
+    # square of mass per area,
     light_dissipation: float = 30.0
     # kg/m², and is reached here. (The target of 5 mm has 3.0.)
-    light_areal_density: float = 5.0
+    light_areal_density: float = 3.5
     # s. A free rotation decays over this time. It stands in for the rolling
     # resistance that rigid round bodies lack.
     tumble_time: float = 0.05
@@ -57,7 +58,7 @@ def dissipation(model: ObjectModel, config: ContactConfig) -> float:
     lightness = config.light_areal_density * width * length / model.mass
     return float(
         np.clip(
-            config.light_dissipation * lightness,
+            config.light_dissipation * lightness**2,
             config.dissipation,
             config.light_dissipation,
         )
