@@ -1,21 +1,17 @@
 import itertools
 import json
-import os
 import re
-import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from tests.disk import full_disk
 from xray_drake.cli.main import app
 from xray_drake.cli.search import configure
-from xray_drake.search.record import write_whole
 
 TOP_KEYS = {
     "success",
@@ -225,49 +221,6 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         "a.json",
         "small.yaml",
     ]
-
-
-@contextmanager
-def full_disk(size: int) -> Iterator[None]:
-    """Lets no file grow beyond so many bytes."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "record.json"
-    write_whole(path, "old")
-    with full_disk(100), pytest.raises(OSError):
-        write_whole(path, "new" * 100)
-    assert path.read_text(encoding="utf-8") == "old"
-    write_whole(path, "new" * 100)
-    assert path.read_text(encoding="utf-8") == "new" * 100
-    with pytest.raises(OSError):
-        write_whole(tmp_path, "over a folder")
-    assert [p.name for p in tmp_path.iterdir()] == ["record.json"]
-
-
-def test_links_are_followed_and_pipes_are_written_to(tmp_path: Path) -> None:
-    real, link = tmp_path / "real.json", tmp_path / "link.json"
-    real.write_text("old", encoding="utf-8")
-    link.symlink_to(real)
-    write_whole(link, "new")
-    assert link.is_symlink()
-    assert real.read_text(encoding="utf-8") == "new"
-
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    try:
-        write_whole(pipe, "through")
-        assert pipe.is_fifo()
-        assert os.read(reader, 100) == b"through"
-    finally:
-        os.close(reader)
 
 
 def test_a_full_disk_is_one_line(small: Path, tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from xray_drake.dataset import files
-from xray_drake.dataset.files import remove_leftovers
 from xray_drake.dataset.sample import Sample, encode_occupancy
 from xray_drake.dataset.shards import (
     ShardAttributes,
@@ -24,6 +23,7 @@ from xray_drake.dataset.shards import (
     verify_shard,
     write_shard,
 )
+from xray_drake.files import remove_leftovers
 
 _MakeSample = Callable[..., Sample]
 

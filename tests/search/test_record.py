@@ -9,7 +9,6 @@ from xray_drake.search.record import (
     ActionRecord,
     SearchRecord,
     write_record,
-    write_whole,
 )
 
 RECORD_KEYS = {
@@ -129,32 +128,6 @@ def test_the_file_is_json(tmp_path: Path) -> None:
     assert text.endswith("}\n")
     assert json.loads(text) == wanted.to_dict()
     assert [p.name for p in tmp_path.iterdir()] == ["rollout.json"]
-
-
-def test_writing_replaces_what_was_there(tmp_path: Path) -> None:
-    path = tmp_path / "x.txt"
-    for text in ("a long text\n", "kürzer"):
-        write_whole(path, text)
-        assert path.read_text(encoding="utf-8") == text
-
-
-def test_who_reads_meanwhile_reads_the_old_file_whole(tmp_path: Path) -> None:
-    path = tmp_path / "x.txt"
-    write_whole(path, "old text")
-    with path.open() as reader:
-        write_whole(path, "new")
-        assert reader.read() == "old text"
-    assert path.read_text() == "new"
-
-
-def test_writing_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
-    path = tmp_path / "x.txt"
-    write_whole(path, "old")
-    cannot_be_encoded = "new" * 100_000 + "\udc80"
-    with pytest.raises(UnicodeEncodeError):
-        write_whole(path, cannot_be_encoded)
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["x.txt"]
 
 
 def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xray_drake.search.record import write_whole
+from xray_drake.files import write_whole_file
 from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
 
 ROLLOUTS = "rollouts.jsonl"
@@ -105,7 +105,7 @@ def run_rollouts(
     records = read_rollouts(folder)
     # Without a line cut short, to which the next record would be added.
     lines = [json.dumps(record) + "\n" for record in records]
-    write_whole(folder / ROLLOUTS, "".join(lines))
+    write_whole_file(folder / ROLLOUTS, "".join(lines).encode())
     done = {(r["seed"], r["policy"]) for r in records}
     jobs = []
     for seed in seeds:

@@ -11,7 +11,6 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from xray_drake.dataset.files import remove_leftovers, write_whole_file
 from xray_drake.dataset.generator import ShardReport, make_shard
 from xray_drake.dataset.manifest import (
     MANIFEST_NAME,
@@ -21,6 +20,7 @@ from xray_drake.dataset.manifest import (
     write_manifest,
 )
 from xray_drake.dataset.shards import ShardError, verify_shard
+from xray_drake.files import remove_leftovers, write_whole_file
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from xray_drake.dataset.files import write_whole_file
+from xray_drake.files import write_whole_file
 
 MANIFEST_NAME = "dataset.json"
 

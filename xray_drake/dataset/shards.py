@@ -21,7 +21,6 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from xray_drake.dataset.files import write_whole_file
 from xray_drake.dataset.manifest import FORMAT_VERSION, DatasetError
 from xray_drake.dataset.sample import (
     IMAGES,
@@ -33,6 +32,7 @@ from xray_drake.dataset.sample import (
     encode_depth,
     encode_occupancy,
 )
+from xray_drake.files import write_whole_file
 
 _HEADER_SIZE = 512
 _HEADER = re.compile(

@@ -5,10 +5,11 @@ from pathlib import Path
 from pydrake.geometry import Meshcat
 
 from xray_drake.drawing.meshcat_layers import look_at_bin
+from xray_drake.files import write_whole_file
 from xray_drake.inspector.drawing import SearchDrawing
 from xray_drake.search.diagram import SearchDiagram
 from xray_drake.search.monitor import Observer
-from xray_drake.search.record import SearchRecord, write_whole
+from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
 
 
@@ -52,4 +53,4 @@ def write_html(meshcat: Meshcat, path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    write_whole(path, meshcat.StaticHtml())
+    write_whole_file(path, meshcat.StaticHtml().encode())

@@ -1,7 +1,6 @@
 """The record of one rollout, and its JSON file (DESIGN.md)."""
 
 import json
-import os
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from xray_drake import __version__
+from xray_drake.files import write_whole_file
 from xray_drake.messages import Grasp, Outcome
 
 
@@ -138,33 +138,11 @@ class SearchRecord:
         }
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Writes a file completely or not at all.
-
-    Raises:
-        OSError: it cannot be written (no such folder, a full disk); what was
-            there before is untouched.
-    """
-    if path.exists() and not path.is_file():
-        # A device or a pipe is written to; replacing it would destroy it.
-        path.write_text(text, encoding="utf-8")
-        return
-    path = path.resolve()
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def write_record(record: SearchRecord, path: Path) -> None:
     """Writes a record as JSON.
 
     Raises:
         OSError: the file cannot be written.
     """
-    write_whole(path, json.dumps(record.to_dict(), indent=1) + "\n")
+    text = json.dumps(record.to_dict(), indent=1) + "\n"
+    write_whole_file(path, text.encode())

@@ -17,6 +17,11 @@ def write_whole_file(path: Path, data: bytes) -> None:
         OSError: it cannot be written (no such folder, a full disk); what was
             there before is untouched, and nothing is left over.
     """
+    if path.exists() and not path.is_file():
+        # A device or a pipe is written to; replacing it would destroy it.
+        path.write_bytes(data)
+        return
+    path = path.resolve()
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
         with temporary.open("wb") as file:
