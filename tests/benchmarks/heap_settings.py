@@ -43,9 +43,9 @@ class Setting:
 SETTINGS = {
     "default": Setting("what the package uses"),
     "sleep": Setting("resting bodies sleep", heap={"sleep": True}),
-    "viscous": Setting(
-        "dissipation 30 s/m for all: nothing hops, all creeps",
-        contact={"dissipation": 30.0},
+    "lively": Setting(
+        "dissipation 3 s/m: light flat things hop",
+        contact={"dissipation": 3.0},
     ),
     "soft": Setting(
         "2e7 Pa/m: less stiff, sinks deeper",
@@ -54,10 +54,6 @@ SETTINGS = {
     "hard": Setting(
         "2e8 Pa/m: sinks less, light things hop",
         contact={"pressure_gradient": 2e8},
-    ),
-    "undamped": Setting(
-        "dissipation 3 s/m for all: the thin target hops",
-        contact={"light_dissipation": 3.0},
     ),
     "slow": Setting("one object every 0.28 s", heap={"drop_period": 0.28}),
     "half_step": Setting("steps of 2.5 ms", plant={"time_step": 0.0025}),

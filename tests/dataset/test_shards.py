@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from xray_drake.dataset import files
+from xray_drake import files
 from xray_drake.dataset.sample import Sample, encode_occupancy
 from xray_drake.dataset.shards import (
     ShardAttributes,

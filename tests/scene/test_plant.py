@@ -164,7 +164,7 @@ def test_bin_and_tote_stand_still_and_are_not_the_world() -> None:
     for name, x in (("bin", 0.0), ("tote", 0.62)):
         body = plant.GetBodyByName(name)
         assert plant.IsAnchored(body)
-        assert len(plant.GetCollisionGeometriesForBody(body)) == 5
+        assert len(plant.GetCollisionGeometriesForBody(body)) >= 5
         X = plant.CalcRelativeTransform(
             plant.CreateDefaultContext(),
             plant.world_frame(),

@@ -11,7 +11,6 @@ from pydrake.systems.framework import DiagramBuilder
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
     ContactConfig,
-    dissipation,
     hydroelastic_modulus,
 )
 from xray_drake.scene.library import make_object
@@ -71,9 +70,10 @@ def test_drake_reads_back_what_was_written(model, tmp_path):
         ) == pytest.approx(
             hydroelastic_modulus(model.pieces[index], ContactConfig()), rel=1e-5
         )
-        assert properties.GetProperty(
-            "material", "hunt_crossley_dissipation"
-        ) == pytest.approx(dissipation(model, ContactConfig()), rel=1e-5)
+        assert (
+            properties.GetProperty("material", "hunt_crossley_dissipation")
+            == ContactConfig().dissipation
+        )
         friction = properties.GetProperty("material", "coulomb_friction")
         assert friction.dynamic_friction() == model.friction
     (visual,) = plant.GetVisualGeometriesForBody(body)

@@ -153,7 +153,7 @@ def test_the_drawn_gripper_is_drawn_and_touches_nothing(
     for geometry in gripper:
         assert inspector.GetProximityProperties(geometry) is None
         assert inspector.GetPerceptionProperties(geometry) is None
-    assert inspector.NumGeometriesWithRole(Role.kProximity) == 10 + 5
+    assert inspector.NumGeometriesWithRole(Role.kProximity) == 10 + 5 + 6
     simulator = Simulator(station.diagram, station.context(IN_THE_HEAP))
     before = station.pose("plank", simulator.get_context())
     simulator.AdvanceTo(0.1)

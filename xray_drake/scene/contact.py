@@ -12,7 +12,7 @@ from xray_drake.scene.object_model import ObjectModel
 class ContactConfig:
     """Material constants that the objects of a heap share.
 
-    ``tests/benchmarks/test_heap_speed.py`` compares settings by speed and
+    ``tests/benchmarks/heap_settings.py`` compares settings by speed and
     quality; the reasons for the defaults stand with the fields.
     """
 
@@ -23,15 +23,9 @@ class ContactConfig:
     # 2e7 objects sink 1.4 mm into each other on average; the stiffer, the more
     # light ones hop.
     pressure_gradient: float = 5e7
-    # s/m, Hunt-Crossley, of heavy objects. At 30 a heap creeps for seconds
-    # before it rests.
-    dissipation: float = 3.0
-    # s/m. But what lies flat and is light hops at 3 (a step of 5 ms is long for
-    # it). So dissipation rises from that to this, inversely as the
-    # square of mass per area,
-    light_dissipation: float = 30.0
-    # kg/m², and is reached here. (The target of 5 mm has 3.0.)
-    light_areal_density: float = 3.5
+    # s/m, Hunt-Crossley. At 3 most heaps rest sooner, but light flat things hop
+    # (a time step of 5 ms is long for them) and carry others along.
+    dissipation: float = 30.0
     # s. A free rotation decays over this time. It stands in for the rolling
     # resistance that rigid round bodies lack.
     tumble_time: float = 0.05
@@ -45,24 +39,6 @@ def hydroelastic_modulus(vertices: np.ndarray, config: ContactConfig) -> float:
         config: gives the gradient of the pressure.
     """
     return config.pressure_gradient * half_thickness(vertices)
-
-
-def dissipation(model: ObjectModel, config: ContactConfig) -> float:
-    """Returns an object's Hunt-Crossley dissipation, s/m.
-
-    Args:
-        model: its mass and its two longer sides decide.
-        config: the range.
-    """
-    _, width, length = np.sort(model.extents)
-    lightness = config.light_areal_density * width * length / model.mass
-    return float(
-        np.clip(
-            config.light_dissipation * lightness**2,
-            config.dissipation,
-            config.light_dissipation,
-        )
-    )
 
 
 def angular_damping(model: ObjectModel, config: ContactConfig) -> float:

@@ -177,7 +177,8 @@ def drop_heap(
         contact: the objects' material.
         plant_config: physics.
         snapshots: numbers of dropped objects at which the growing heap is
-            remembered too (one by one only); see ``Heap.growth``.
+            remembered too (one by one only); see ``Heap.growth``. All of them
+            is the heap itself.
         progress: called now and then with the share done, in [0, 1].
 
     Raises:
@@ -198,10 +199,10 @@ def drop_heap(
         raise ValueError(f"objects of a heap need distinct names: {names}")
     if snapshots and config.arrangement != "one_by_one":
         raise ValueError("a heap that is dumped has no snapshots")
-    if not all(0 < count < len(objects) for count in snapshots):
+    if not all(0 < count <= len(objects) for count in snapshots):
         raise ValueError(
             f"snapshots {sorted(snapshots)} of a heap of {len(objects)} "
-            f"objects: each must be from 1 to {len(objects) - 1}"
+            f"objects: each must be from 1 to {len(objects)}"
         )
     failures: list[str] = []
     for attempt in range(1, config.max_attempts + 1):

@@ -40,7 +40,6 @@ from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.contact import (
     ContactConfig,
     angular_damping,
-    dissipation,
     hydroelastic_modulus,
 )
 from xray_drake.scene.meshes.textured import drake_mesh
@@ -223,7 +222,7 @@ def _register_collision(
     for index, vertices in enumerate(model.pieces):
         proximity = ProximityProperties()
         AddContactMaterial(
-            dissipation=dissipation(model, contact),
+            dissipation=contact.dissipation,
             friction=friction,
             properties=proximity,
         )

@@ -14,7 +14,6 @@ import trimesh
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
     ContactConfig,
-    dissipation,
     hydroelastic_modulus,
 )
 from xray_drake.scene.object_model import ObjectModel, shaded
@@ -115,7 +114,7 @@ def _add_proximity(
     SubElement(properties, _drake("compliant_hydroelastic"))
     for name, value in (
         ("hydroelastic_modulus", hydroelastic_modulus(vertices, contact)),
-        ("hunt_crossley_dissipation", dissipation(model, contact)),
+        ("hunt_crossley_dissipation", contact.dissipation),
         ("mu_dynamic", model.friction),
         ("mu_static", model.friction),
     ):

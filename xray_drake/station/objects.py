@@ -121,7 +121,7 @@ def make_heap(
         scenario.seed,
         config=scenario.scene.heap,
         contact=scenario.scene.contact,
-        snapshots={int(count) for count in counts[:-1]} - {0, len(objects)},
+        snapshots={int(count) for count in counts[:-1]} - {0},
         plant_config=scenario.plant_config,
         progress=progress,
     )

@@ -350,8 +350,6 @@ _MUST_BE_POSITIVE = (
     "scene.mesh_scale",
     "scene.contact.pressure_gradient",
     "scene.contact.dissipation",
-    "scene.contact.light_dissipation",
-    "scene.contact.light_areal_density",
     "scene.contact.tumble_time",
     "scene.heap.drop_period",
     "scene.heap.tray_length",
