@@ -11,11 +11,12 @@ from xray_drake.dataset.generator import (
     plan_dataset,
     split_of_imported,
 )
-from xray_drake.dataset.manifest import SPLITS, Manifest, write_manifest
+from xray_drake.dataset.manifest import Manifest, write_manifest
 from xray_drake.dataset.sample import problems
 from xray_drake.dataset.shards import read_shard
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.library import make_object, object_names, split_of
+from xray_drake.splits import SPLITS
 from xray_drake.station.scenario import Scenario, load_scenario
 
 

@@ -4,7 +4,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.scene.library import SPLITS, make_object, object_names
+from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.likeness import (
     BOUND,
     ROTATIONS,
@@ -13,6 +13,7 @@ from xray_drake.scene.likeness import (
     likeness,
     surface_points,
 )
+from xray_drake.splits import SPLITS
 
 BRICK = trimesh.creation.box((0.08, 0.05, 0.02))
 CONE = trimesh.creation.cone(0.03, 0.07, sections=12)

@@ -3,7 +3,6 @@
 import gc
 import json
 import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 
 from xray_drake.files import write_whole_file
 from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
+from xray_drake.threads import limit_threads
 
 ROLLOUTS = "rollouts.jsonl"
 SCENARIO = "scenario.yaml"
@@ -112,9 +112,7 @@ def run_rollouts(
         missing = tuple(p for p in policies if (seed, p) not in done)
         if missing:
             jobs.append(Job(text, seed, missing))
-    # One thread a worker: two workers on two cores then scale. Workers inherit
-    # the variables and read them when they import torch and NumPy.
-    os.environ["OMP_NUM_THREADS"] = "1"
+    limit_threads()  # the workers', which inherit it
     batch = workers * _HEAPS_PER_WORKER
     with (folder / ROLLOUTS).open("a", encoding="utf-8") as file:
         for start in range(0, len(jobs), batch):

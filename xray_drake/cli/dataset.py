@@ -15,6 +15,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.exits import FAILED
 
 if TYPE_CHECKING:
@@ -47,8 +48,6 @@ def check(
     workers: _Workers = 1,
 ) -> None:
     """Check every file, byte and sample; exit 1 where something is wrong."""
-    from xray_drake.cli.main import errors_as_lines
-
     with errors_as_lines():
         report = _check(folder, deep=not fast, workers=workers)
         if json:
@@ -62,8 +61,6 @@ def check(
 @app.command()
 def info(folder: _Folder, json: _Json = False, workers: _Workers = 1) -> None:
     """Tell what a dataset holds; damage is told, but is no failure."""
-    from xray_drake.cli.main import errors_as_lines
-
     with errors_as_lines():
         report = _check(folder, deep=True, workers=workers)
         if json:

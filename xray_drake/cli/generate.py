@@ -28,8 +28,9 @@ from xray_drake.dataset.engine import (
     run_ray,
 )
 from xray_drake.dataset.generator import ShardReport, plan_dataset
-from xray_drake.dataset.manifest import SPLITS, Manifest
+from xray_drake.dataset.manifest import Manifest
 from xray_drake.scene.targets import BOX_TARGETS, TARGET_NAMES
+from xray_drake.splits import SPLITS
 from xray_drake.station.objects import imported_objects
 from xray_drake.station.scenario import ScenarioError
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from xray_drake.cli.errors import errors_as_lines
+
 if TYPE_CHECKING:
     from xray_drake.dataset.sample import Sample
 
@@ -44,8 +46,6 @@ def inspect(
     ] = False,
 ) -> None:
     """Show samples of a dataset as a figure or in Meshcat."""
-    from xray_drake.cli.main import errors_as_lines
-
     with errors_as_lines():
         chosen = choose(
             dataset,

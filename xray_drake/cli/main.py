@@ -3,8 +3,6 @@
 import logging
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +11,7 @@ from rich.console import Console
 
 from xray_drake import __version__
 from xray_drake.cli.dataset import app as dataset_app
-from xray_drake.cli.exits import BAD_INPUT, FAILED, INTERRUPTED
+from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
 
@@ -32,30 +30,15 @@ def _version(value: bool) -> None:
         raise typer.Exit
 
 
-def complain(message: str, code: int = BAD_INPUT) -> typer.Exit:
-    """Prints one line to standard error and returns the exit to raise."""
-    typer.echo(f"xray-drake: {' '.join(message.split())}", err=True)
-    return typer.Exit(code)
-
-
-@contextmanager
-def errors_as_lines() -> Iterator[None]:
-    """Turns the errors of a job into one line and an exit status.
-
-    Raises:
-        typer.Exit: 2 for bad input, 1 for a file that cannot be written or a
-            failed simulation, 130 for Ctrl-C.
-    """
-    try:
-        yield
-    except ValueError as error:
-        raise complain(str(error)) from error
-    except (OSError, RuntimeError) as error:
-        if isinstance(error, typer.Exit):
-            raise
-        raise complain(str(error), FAILED) from error
-    except KeyboardInterrupt:
-        raise complain("interrupted", INTERRUPTED) from None
+_Meshes = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="Folder of meshes that replace the distractors; repeatable."
+    ),
+]
+_Scale = Annotated[
+    float | None, typer.Option(help="Factor from their unit to metres.")
+]
 
 
 @app.callback()
@@ -96,15 +79,8 @@ def search(
     horizon: Annotated[
         int | None, typer.Option(help="Actions at most.")
     ] = None,
-    meshes: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Folder of meshes that replace the distractors; repeatable."
-        ),
-    ] = None,
-    scale: Annotated[
-        float | None, typer.Option(help="Factor from their unit to metres.")
-    ] = None,
+    meshes: _Meshes = None,
+    scale: _Scale = None,
     execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
     occupancy: Annotated[str | None, typer.Option(help="exact.")] = None,
     detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
@@ -255,15 +231,8 @@ def generate(
     num_objects: Annotated[
         int | None, typer.Option(help="Distractors in every heap.")
     ] = None,
-    meshes: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Folder of meshes that replace the distractors; repeatable."
-        ),
-    ] = None,
-    scale: Annotated[
-        float | None, typer.Option(help="Factor from their unit to metres.")
-    ] = None,
+    meshes: _Meshes = None,
+    scale: _Scale = None,
     color: Annotated[
         bool, typer.Option("--color", help="With colour images.")
     ] = False,

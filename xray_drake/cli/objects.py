@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from xray_drake.cli.errors import errors_as_lines
+
 if TYPE_CHECKING:
     from xray_drake.scene.object_model import ObjectModel
 
@@ -55,8 +57,6 @@ def list_objects(
     ] = False,
 ) -> None:
     """Tell the name, split, size, mass and pieces of objects."""
-    from xray_drake.cli.main import errors_as_lines
-
     with errors_as_lines():
         chosen = choose(names, split, family, packaged)
         rows = [_row(name) for name in chosen]
@@ -107,8 +107,6 @@ def show(
 
     Without names, families and a number per family, six of each family.
     """
-    from xray_drake.cli.main import errors_as_lines
-
     with errors_as_lines():
         if not names and not family and per_family is None:
             per_family = 6
@@ -154,8 +152,6 @@ def export(
     ] = False,
 ) -> None:
     """Write objects as SDFormat or OBJ files."""
-    from xray_drake.cli.main import errors_as_lines
-
     with errors_as_lines():
         if format not in ("sdf", "obj"):
             raise ValueError(f"no format is called {format!r}: sdf or obj")

@@ -2,7 +2,6 @@
 
 import gc
 import multiprocessing
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -21,8 +20,7 @@ from xray_drake.dataset.manifest import (
 )
 from xray_drake.dataset.shards import ShardError, verify_shard
 from xray_drake.files import remove_leftovers, write_whole_file
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+from xray_drake.threads import limit_threads
 
 _ATTEMPTS = 2
 """How often a shard is tried whose process dies (killed for memory, say)."""
@@ -107,8 +105,7 @@ def run_processes(
         RuntimeError: a shard could not be made; the message names it. The
             others under way are stopped; what is on disk stays.
     """
-    for name in _THREADS:
-        os.environ[name] = "1"
+    limit_threads()
     context = multiprocessing.get_context("forkserver")
     # Forked from a server that has imported everything, a process starts at
     # once; one that is spawned takes seconds.
@@ -218,10 +215,10 @@ def run_ray(
         raise RuntimeError(
             "--cluster needs Ray: pip install 'xray-drake[cluster]'"
         ) from error
-    local = address.removeprefix("local:") if "local:" in address else ""
     try:
-        if local:
-            ray.init(num_cpus=int(local), include_dashboard=False)
+        if address.startswith("local:"):
+            workers = int(address.removeprefix("local:"))
+            ray.init(num_cpus=workers, include_dashboard=False)
         else:
             ray.init(address=address)
     except (ConnectionError, ValueError) as error:
@@ -255,8 +252,7 @@ def run_ray(
 def _make_remotely(
     manifest: Manifest, shard: ExpectedShard
 ) -> tuple[ShardReport, bytes]:
-    for name in _THREADS:
-        os.environ[name] = "1"
+    limit_threads()
     with tempfile.TemporaryDirectory() as folder:
         report = make_shard(Path(folder), manifest, shard)
         return report, (Path(folder) / shard.name).read_bytes()

@@ -14,7 +14,8 @@ import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
 from xray_drake import __version__
-from xray_drake.dataset.manifest import SPLITS, ExpectedShard, Manifest
+from xray_drake.dataset.check import TILTED
+from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
 from xray_drake.dataset.sample import Sample, depth_on_disk, problems
 from xray_drake.dataset.shards import ShardAttributes, write_shard
@@ -26,6 +27,7 @@ from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 from xray_drake.seeding import stream
+from xray_drake.splits import SPLITS
 from xray_drake.station.objects import imported_objects, make_heap
 from xray_drake.station.scenario import (
     Scenario,
@@ -40,7 +42,6 @@ _HEAPS_PER_SPLIT = 10**7
 _HEAPS_PER_SEED = 10**8
 """Heaps' seeds begin beyond those of searches and benchmarks."""
 
-_FLAT = np.deg2rad(5.0)
 _SMALLEST = 1 / 255
 """What the true place has at least in a label of exact placement."""
 
@@ -288,7 +289,7 @@ class SampleMaker:
                 X_WT[:3, 3],
             )
             occupancy = label.distribution
-            flat = np.arccos(min(1.0, abs(X_WT[2, 2]))) < _FLAT
+            flat = heap.target_tilt < TILTED
             if self._manifest.options["label"] == "exact" and flat:
                 exact = exact_label(
                     _inference(target.name),

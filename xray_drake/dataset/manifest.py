@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from xray_drake.files import write_whole_file
+from xray_drake.splits import SPLITS
 
 MANIFEST_NAME = "dataset.json"
 
 FORMAT_VERSION = 1
 """Of the manifest and of the shards."""
-
-SPLITS = ("train", "validation", "test")
-"""No object is in two of them."""
 
 
 class DatasetError(ValueError):

@@ -15,10 +15,11 @@ from xray_drake.dataset.images import (
     augmented_depth,
     downscale,
 )
-from xray_drake.dataset.manifest import SPLITS, DatasetError, read_manifest
+from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.sample import Sample, SampleKey
 from xray_drake.dataset.shards import ShardReader
 from xray_drake.seeding import stream
+from xray_drake.splits import SPLITS
 
 Transform = Callable[[LabelledImages, np.random.Generator], LabelledImages]
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.tilt import tilt
 
 TARGET_INSTANCE = 1
 """The target's value in ``instances``; 0 is the background."""
@@ -193,7 +194,7 @@ class Sample:
 
         Either face may lie down.
         """
-        return float(np.arccos(min(1.0, abs(self.X_WT[2, 2]))))
+        return tilt(self.X_WT)
 
 
 def depth_on_disk(depth: np.ndarray) -> np.ndarray:

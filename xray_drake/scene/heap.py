@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.stats import truncnorm
 
+from xray_drake.geometry.tilt import tilt
 from xray_drake.scene.contact import ContactConfig, angular_damping
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
@@ -141,9 +142,7 @@ class Heap:
 
         Either face may lie down.
         """
-        return float(
-            np.arccos(min(1.0, abs(self.poses[self.target.name][2, 2])))
-        )
+        return tilt(self.poses[self.target.name])
 
     @property
     def models(self) -> tuple[ObjectModel, ...]:
@@ -375,8 +374,8 @@ class _Drop:
     def _settle(self) -> None:
         """Waits until nothing has moved for a whole round.
 
-        Speeds alone mislead: a creeping heap is slow, a light body may quiver
-        in place, and one at its turning point is slow for an instant.
+        As :class:`xray_drake.scene.rest.RestTest`, but looked at more often,
+        and later more tolerant.
         """
         config = self._config
         deadline = self._root.get_time() + config.rest_timeout
@@ -413,18 +412,17 @@ class _Drop:
         is long for it; that carries it, and what it bears, along slowly. Once
         it lies still, it stays so.
         """
-        for item in self._all:
-            damping = angular_damping(item.model, self._contact)
-            turn = np.full(3, damping * self._config.calm_factor)
-            shift = np.full(3, item.model.mass * _CALM_RATE)
-            item.joint.SetDampingVector(
-                self._context, np.concatenate([turn, shift])
-            )
+        self._damp(self._config.calm_factor, _CALM_RATE)
         self._advance(self._config.calm_time)
+        self._damp(1.0, 0.0)
+
+    def _damp(self, factor: float, rate: float) -> None:
+        """Damps rotation ``factor`` times as usual, and speed at ``rate``."""
         for item in self._all:
-            damping = angular_damping(item.model, self._contact)
+            turn = angular_damping(item.model, self._contact) * factor
+            shift = item.model.mass * rate
             item.joint.SetDampingVector(
-                self._context, np.array([damping] * 3 + [0.0] * 3)
+                self._context, np.repeat([turn, shift], 3)
             )
 
     def _doze(self, deadline: float) -> None:

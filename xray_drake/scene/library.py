@@ -20,9 +20,7 @@ from xray_drake.scene.colors import distractor_color
 from xray_drake.scene.families import FAMILIES
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.packaging import PACKAGED, packaged_model
-
-SPLITS = ("train", "validation", "test")
-"""Training; other members of its families; families training never uses."""
+from xray_drake.splits import SPLITS
 
 PLAIN_DRAWS = 12
 """The first draws of a family are not stretched: they are as they always

@@ -30,9 +30,9 @@ from xray_drake.scene.cameras import (
 )
 from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import ARRANGEMENTS, HeapConfig
-from xray_drake.scene.library import SPLITS
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.scene.targets import TARGET_NAMES
+from xray_drake.splits import SPLITS
 
 DETECTORS = ("ground_truth",)
 SEGMENTERS = ("ground_truth",)

@@ -1,15 +1,16 @@
 """Keeps what was computed from a file, by the content of the file."""
 
-import contextlib
 import hashlib
+import io
 import logging
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+
+from xray_drake.files import write_whole_file
 
 _logger = logging.getLogger(__name__)
 
@@ -59,18 +60,11 @@ def write_arrays(
     Returns:
         Whether it could be written.
     """
+    content = io.BytesIO()
+    np.savez_compressed(content, **dict(arrays))  # type: ignore[arg-type]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(suffix=".tmp", dir=folder)
+        write_whole_file(folder / f"{key}.npz", content.getvalue())
     except OSError:
-        return False
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, **dict(arrays))  # type: ignore[arg-type]
-        temporary.replace(folder / f"{key}.npz")
-    except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         return False
     return True

@@ -20,11 +20,11 @@ from xray_drake.scene.meshes.prepare import (
     Outcome,
     Prepared,
     Settings,
-    limit_threads,
     prepare_cached,
 )
 from xray_drake.scene.meshes.textures import is_red
 from xray_drake.scene.object_model import ObjectModel
+from xray_drake.threads import limit_threads
 
 DEFAULT_DENSITY = 300.0
 """kg/m³ of the closed surface's inside, where the folder gives no mass."""

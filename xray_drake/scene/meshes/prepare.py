@@ -1,7 +1,6 @@
 """Makes of one mesh file what a heap needs: the slow part of the import."""
 
 import logging
-import os
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -163,11 +162,6 @@ def prepare_cached(path: Path, settings: Settings, cache: Path) -> Outcome:
         return Outcome(None, f"cannot be decomposed ({words[:200]})")
     kept = write_arrays(cache, key, vars(prepared))
     return Outcome(prepared, kept=kept)
-
-
-def limit_threads() -> None:
-    """Keeps a worker process to one core; call before CoACD is used."""
-    os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def prepare(path: Path, settings: Settings) -> Prepared:
