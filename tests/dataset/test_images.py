@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 
-from xray_drake.dataset.images import (
+from xray_drake.dataset.images import LabelledImages, downscale
+from xray_drake.occupancy.networks.augmented_depth import (
     NO_READING,
-    LabelledImages,
     augmented_depth,
-    downscale,
 )
 
 

@@ -13,10 +13,10 @@ from torch.utils.data import DataLoader
 
 from xray_drake.dataset import reader as reader_module
 from xray_drake.dataset.augmentation import Augmentation
-from xray_drake.dataset.images import augmented_depth
 from xray_drake.dataset.manifest import DatasetError
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
 from xray_drake.dataset.shards import ShardError
+from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 
 
 def _assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:

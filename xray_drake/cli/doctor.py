@@ -67,7 +67,11 @@ def findings() -> Iterator[Finding]:
         f"apt-get install -y {' '.join(SYSTEM_LIBRARIES.values())} "
         "libgl1-mesa-dri",
     )
-    yield _try("weights", _weights, "")
+    yield _try(
+        "weights",
+        _weights,
+        "reinstall xray-drake, or give a file with --weights",
+    )
     cores = os.cpu_count() or 1
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
     yield Finding("threads", True, f"{cores} cores, OMP_NUM_THREADS {threads}")
@@ -124,7 +128,11 @@ def _models() -> str:
 
 
 def _weights() -> str:
-    return "none needed: occupancy is inferred exactly"
+    from xray_drake.occupancy.learned import default_weights
+    from xray_drake.occupancy.networks.weights import read_card
+
+    path = default_weights()
+    return f"{path}: {read_card(path).architecture}"
 
 
 def _render() -> str:

@@ -12,8 +12,10 @@ from rich.console import Console
 from xray_drake import __version__
 from xray_drake.cli.dataset import app as dataset_app
 from xray_drake.cli.errors import errors_as_lines
+from xray_drake.cli.evaluate import app as evaluate_app
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
+from xray_drake.cli.train import train
 
 app = typer.Typer(
     name="xray-drake",
@@ -82,7 +84,13 @@ def search(
     meshes: _Meshes = None,
     scale: _Scale = None,
     execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
-    occupancy: Annotated[str | None, typer.Option(help="exact.")] = None,
+    occupancy: Annotated[
+        str | None, typer.Option(help="learned, posterior or exact.")
+    ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(help="File of a network's weights, or a folder of them."),
+    ] = None,
     detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
     segmenter: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
     grasps: Annotated[str | None, typer.Option(help="models.")] = None,
@@ -129,6 +137,7 @@ def search(
                     "gripper.execution": execution,
                     "gripper.grasps": grasps,
                     "perception.occupancy": occupancy,
+                    "perception.weights": weights,
                     "perception.detector": detector,
                     "perception.segmenter": segmenter,
                 },
@@ -294,7 +303,9 @@ def doctor() -> None:
 
 
 app.command()(inspect)
+app.command()(train)
 app.add_typer(dataset_app, name="dataset")
+app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(objects_app, name="objects")
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Builds the whole search as one Diagram."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -9,7 +10,8 @@ from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.gripper.quasi_static import DrawnGripper, QuasiStaticGripper
 from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.system import OccupancyInference
+from xray_drake.occupancy.learned import default_weights, load_inference
+from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
 from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
     GroundTruthTargetDetector,
@@ -17,6 +19,7 @@ from xray_drake.perception.systems import (
 from xray_drake.policy.ranking import RANKINGS
 from xray_drake.policy.system import SearchPolicy
 from xray_drake.scene.heap import Heap
+from xray_drake.scene.object_model import ObjectModel
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario, check_scenario
@@ -85,7 +88,7 @@ def build_search_diagram(
     )
     occupancy = builder.AddSystem(
         OccupancyInference(
-            inference=ExactInference(heap.target, scenario.perception.exact),
+            inference=_inference(scenario, heap.target),
             width=camera.width,
             height=camera.height,
         )
@@ -160,6 +163,20 @@ def build_search_diagram(
     diagram.station = parts
     diagram.meshcat = meshcat
     return diagram
+
+
+def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
+    perception = scenario.perception
+    if perception.occupancy == "exact":
+        return ExactInference(target, perception.exact)
+    weights = perception.weights
+    return load_inference(
+        Path(weights) if weights else default_weights(),
+        target_size=target.extents,
+        output="posterior"
+        if perception.occupancy == "posterior"
+        else "occupancy",
+    )
 
 
 def _export_outputs(

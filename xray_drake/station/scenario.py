@@ -36,7 +36,7 @@ from xray_drake.splits import SPLITS
 
 DETECTORS = ("ground_truth",)
 SEGMENTERS = ("ground_truth",)
-OCCUPANCIES = ("exact",)
+OCCUPANCIES = ("learned", "posterior", "exact")
 POLICIES = ("xray", "largest", "random")
 GRASPS = ("models",)
 EXECUTIONS = ("quasi_static",)
@@ -93,8 +93,12 @@ class PerceptionConfig:
     detector: str = "ground_truth"
     # Finds the modal masks of all objects: "ground_truth".
     segmenter: str = "ground_truth"
-    # Infers the occupancy distribution: "exact".
+    # Infers the occupancy distribution: "learned" by a network; "posterior",
+    # by a network too, but as probable as heaps have taught it; or "exact".
     occupancy: str = "exact"
+    # File of a network's weights, or a folder of networks of one box each; by
+    # default the one that travels with the package.
+    weights: str = ""
     # Settings of "exact".
     exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
 

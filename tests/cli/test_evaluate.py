@@ -1,0 +1,292 @@
+import json
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from xray_drake.cli.evaluate import app
+from xray_drake.dataset.manifest import Manifest, write_manifest
+from xray_drake.dataset.sample import Sample
+from xray_drake.dataset.shards import ShardAttributes, write_shard
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import OccupancyDistribution
+
+COUNT = 4
+TARGETS = ("box_2to1", "lid")
+
+# As main.py has it; a sub-app of one command would be that command.
+main = typer.Typer()
+main.add_typer(app, name="evaluate")
+
+
+def _sample(heap_seed: int) -> Sample:
+    """A target in full view; the depth's corner says which sample it is."""
+    mask = np.zeros((24, 32), bool)
+    mask[10:13, 12:18] = True
+    X_WC = np.diag([1.0, -1, -1, 1])
+    X_WC[2, 3] = 0.8
+    X_WT = np.eye(4)
+    X_WT[2, 3] = 0.0025
+    depth = np.where(mask, 0.795, 0.8)
+    depth[0, 0] = 0.7 + 0.01 * heap_seed
+    return Sample(
+        depth=depth,
+        depth_without_target=depth,
+        target_modal=mask,
+        target_amodal=mask,
+        instances=mask,
+        occupancy=mask,
+        intrinsics=np.array([[35.0, 0, 15.5], [0, 35, 11.5], [0, 0, 1]]),
+        X_WC=X_WC,
+        X_WT=X_WT,
+        target_size=np.array([0.14, 0.07, 0.005 + 0.005 * (heap_seed % 2)]),
+        object_names=(),
+        target_name=TARGETS[heap_seed % 2],
+        heap_seed=heap_seed,
+        num_dropped=11,
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    manifest = Manifest(
+        seed=0,
+        targets=TARGETS,
+        splits={"train": COUNT},
+        shard_size=2,
+        views_per_heap=1,
+        height=24,
+        width=32,
+        scenario="name: tiny\n",
+    )
+    write_manifest(tmp_path, manifest)
+    for shard in manifest.expected_shards():
+        write_shard(
+            tmp_path / shard.name,
+            [_sample(shard.first + i) for i in range(shard.count)],
+            ShardAttributes(
+                split=shard.split,
+                scenario=manifest.scenario,
+                package_version="0.1.0",
+                drake_version="1.51.1",
+                dataset=manifest.fingerprint(),
+            ),
+        )
+    return tmp_path
+
+
+class _Networks(ModuleType):
+    """Stands for ``xray_drake.occupancy.learned``; remembers what it saw.
+
+    A network named "modal" answers the modal mask; "weak", half of it for the
+    sample of seed 2.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("xray_drake.occupancy.learned")
+        self.loaded: list[tuple[str, tuple[float, ...]]] = []
+        self.depths: list[np.ndarray] = []
+        self.cameras: list[PinholeCamera] = []
+
+    def load_inference(self, path: Path, *, target_size: np.ndarray) -> Any:
+        if path.stem == "gone":
+            raise ValueError(f"{path} holds no weights")
+        self.loaded.append((path.stem, tuple(target_size.tolist())))
+
+        def infer(
+            depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+        ) -> OccupancyDistribution:
+            self.depths.append(depth)
+            self.cameras.append(camera)
+            seed = round((float(depth[0, 0]) - 0.7) / 0.01)
+            weak = path.stem == "weak" and seed == 2
+            return OccupancyDistribution(mask * (0.5 if weak else 1.0), 0.02)
+
+        return SimpleNamespace(infer=infer)
+
+
+@pytest.fixture
+def networks(monkeypatch: pytest.MonkeyPatch) -> _Networks:
+    module = _Networks()
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return module
+
+
+def _run(*arguments: object) -> Any:
+    words = ["evaluate", "occupancy", *map(str, arguments)]
+    result = CliRunner().invoke(main, words)
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def _rows(output: str) -> dict[tuple[str, str], list[str]]:
+    lines = [li for li in output.splitlines() if li.startswith("|")][2:]
+    cells = [[c.strip() for c in li.strip("|").split("|")] for li in lines]
+    return {(row[0], row[1]): row[2:] for row in cells}
+
+
+def test_exact_inference_and_a_network(
+    folder: Path, networks: _Networks, tmp_path: Path
+) -> None:
+    out = tmp_path / "results.json"
+    result = _run(folder, "--weights", "nets/modal.safetensors", "--json", out)
+    assert result.exit_code == 0, result.output
+    rows = _rows(result.stdout)
+    assert list(rows)[:2] == [("all, 4", "modal"), ("all, 4", "exact")]
+    assert ("lid, 2", "modal") in rows
+    assert rows["all, 4", "modal"][:2] == ["100.0%", "1.000"]
+    assert f"wrote {out}" in result.stdout
+    # Once for each size of target, not for each image.
+    assert len(networks.loaded) == len(set(networks.loaded)) == 2
+    told = json.loads(
+        out.read_text(encoding="utf-8"),
+        parse_constant=lambda name: pytest.fail(f"{name} is not JSON"),
+    )
+    assert told["dataset"] == str(folder)
+    assert list(told["predictors"]) == ["modal", "exact"]
+    images = told["predictors"]["exact"]["images"]
+    assert [image["heap_seed"] for image in images] == [0, 1, 2, 3]
+    modal = told["predictors"]["modal"]
+    assert modal["overall"]["target_mass"]["value"] == 1.0
+
+
+def test_what_inference_is_told_wrongly(
+    folder: Path, networks: _Networks
+) -> None:
+    wrong = ["--height-offset", 0.01, "--focal-error", 0.02, "--noise"]
+    arguments = (folder, "--weights", "modal", "--no-exact", "--images", 1)
+    assert _run(*arguments).exit_code == 0
+    result = _run(*arguments, *wrong)
+    assert result.exit_code == 0
+    rightly, wrongly = networks.cameras
+    assert wrongly.X_WC[2, 3] - rightly.X_WC[2, 3] == pytest.approx(0.01)
+    assert wrongly.intrinsics[0, 0] == pytest.approx(1.02 * 35)
+    clean, noisy = networks.depths
+    assert not np.array_equal(clean, noisy)
+    # The label stays where it was.
+    assert _rows(result.stdout)["all, 1", "modal"][:2] == ["100.0%", "1.000"]
+
+
+def test_a_figure_of_the_worst(
+    folder: Path,
+    networks: _Networks,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from xray_drake.drawing import predictions
+
+    drawn: list[Any] = []
+    original = predictions.prediction_figure
+
+    def remember(examples: Any) -> Any:
+        drawn.extend(examples)
+        return original(examples)
+
+    monkeypatch.setattr(predictions, "prediction_figure", remember)
+    out = tmp_path / "worst.png"
+    result = _run(
+        *(folder, "--weights", "weak", "--weights", "modal", "--no-exact"),
+        *("--figure", out, "--worst", "--examples", 1),
+    )
+    assert result.exit_code == 0, result.output
+    assert out.read_bytes().startswith(b"\x89PNG")
+    (example,) = drawn
+    assert example.sample.heap_seed == 2
+    assert example.ious == {"weak": 0.0, "modal": 1.0}
+    assert example.predictions["weak"].max() == 0.5
+    drawn.clear()
+    _run(folder, "--weights", "weak", "--no-exact", "--figure", out)
+    assert [e.sample.heap_seed for e in drawn] == [0, 1, 2, 3]
+
+
+def test_images_are_drawn_by_the_seed(
+    folder: Path, networks: _Networks
+) -> None:
+    def seen(seed: int) -> tuple[float, ...]:
+        networks.depths.clear()
+        assert (
+            _run(
+                *(folder, "--weights", "modal", "--no-exact"),
+                *("--images", 2, "--seed", seed),
+            ).exit_code
+            == 0
+        )
+        return tuple(float(depth[0, 0]) for depth in networks.depths)
+
+    assert seen(0) == seen(0)
+    assert len(seen(0)) == 2
+    assert len({seen(seed) for seed in range(8)}) > 1
+
+
+def test_only_some_targets(folder: Path, networks: _Networks) -> None:
+    result = _run(
+        *(folder, "--weights", "modal", "--no-exact", "--target", "lid"),
+    )
+    assert ("all, 2", "modal") in _rows(result.stdout)
+    assert {size[2] for _, size in networks.loaded} == {0.01}
+
+
+def test_networks_of_one_name_go_by_their_paths(
+    folder: Path, networks: _Networks
+) -> None:
+    paths = ("a/net.safetensors", "b/net.safetensors", "exact.safetensors")
+    options = [word for path in paths for word in ("--weights", path)]
+    result = _run(folder, *options, "--images", 1)
+    names = [name for _, name in _rows(result.stdout)]
+    assert names[:4] == [*paths, "exact"]
+
+
+def test_a_dataset_that_is_being_made(
+    folder: Path, networks: _Networks
+) -> None:
+    (folder / "train-00001.h5").unlink()
+    arguments = (folder, "--weights", "modal", "--no-exact")
+    result = _run(*arguments)
+    assert result.exit_code == 2
+    assert "train-00001.h5 is missing" in result.stderr
+    result = _run(*arguments, "--incomplete")
+    assert ("all, 2", "modal") in _rows(result.stdout)
+
+
+@pytest.mark.parametrize(
+    ("options", "line", "code"),
+    [
+        (["--no-exact"], "nothing to evaluate: give --weights", 2),
+        (["--weights", "a", "--weights", "a"], "given twice", 2),
+        (["--weights", "gone"], "gone holds no weights", 2),
+        (["--split", "tests"], "no split is called 'tests'", 2),
+        (["--target", "flute"], "holds no sample of what was asked for", 2),
+        (["--focal-error", "-1"], "focal length", 2),
+        (["--figure", "figure.xyz"], "should end in .png, .pdf or .svg", 2),
+        (["--figure", "nowhere/f.png"], "nowhere/f.png", 1),
+        (["--json", "nowhere/out.json"], "nowhere/out.json", 1),
+        (["--json", "."], "Is a directory", 1),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(
+    folder: Path,
+    networks: _Networks,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    line: str,
+    code: int,
+) -> None:
+    monkeypatch.chdir(folder)
+    result = _run(folder, *options)
+    assert result.exit_code == code
+    assert result.stdout == ""
+    (found,) = result.stderr.splitlines()
+    assert line in found
+
+
+def test_no_dataset_is_one_line(tmp_path: Path) -> None:
+    result = _run(tmp_path / "nowhere")
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert "nowhere is no dataset" in line

@@ -1,0 +1,423 @@
+import dataclasses
+import json
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from xray_drake.dataset.augmentation import DepthNoise
+from xray_drake.dataset.check import FULLY_VISIBLE
+from xray_drake.dataset.sample import Sample
+from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
+from xray_drake.training.disturbance import Disturbance
+from xray_drake.training.evaluation import (
+    Evaluation,
+    Visibility,
+    evaluate,
+    markdown_table,
+    visibility,
+)
+
+SHAPE = (12, 16)
+
+
+def make_sample(
+    heap_seed: int = 0,
+    *,
+    view: int = 0,
+    visible: float = 0.5,
+    target_name: str = "box_2to1",
+) -> Sample:
+    """A target of 4 × 5 pixels whose label is 1 there and 0.5 beside it."""
+    amodal = np.zeros(SHAPE, bool)
+    amodal[4:8, 5:10] = True
+    modal = np.zeros(SHAPE, bool)
+    rows, columns = np.nonzero(amodal)
+    seen = round(visible * rows.size)
+    modal[rows[:seen], columns[:seen]] = True
+    occupancy = np.where(amodal, 1.0, 0.0)
+    occupancy[4:8, 10:12] = 0.5
+    X_WC = np.diag([1.0, -1, -1, 1])
+    X_WC[2, 3] = 0.8
+    return Sample(
+        depth=np.full(SHAPE, 0.8),
+        depth_without_target=np.full(SHAPE, 0.8),
+        target_modal=modal,
+        target_amodal=amodal,
+        instances=modal,
+        occupancy=occupancy,
+        intrinsics=np.array([[17.0, 0, 7.5], [0, 17, 5.5], [0, 0, 1]]),
+        X_WC=X_WC,
+        X_WT=np.eye(4),
+        target_size=np.array([0.06, 0.03, 0.005]),
+        object_names=(),
+        target_name=target_name,
+        heap_seed=heap_seed,
+        view=view,
+        num_dropped=3,
+    )
+
+
+def truth(sample: Sample) -> np.ndarray:
+    return sample.occupancy
+
+
+def nothing(sample: Sample) -> np.ndarray:
+    return np.zeros(sample.shape)
+
+
+def anywhere(sample: Sample) -> np.ndarray:
+    return np.ones(sample.shape)
+
+
+def good_or_bad(sample: Sample) -> np.ndarray:
+    """Right about heaps of an even seed; says nothing of the others."""
+    return truth(sample) if sample.heap_seed % 2 == 0 else nothing(sample)
+
+
+def run(samples: Sequence[Sample], predictor: object = truth) -> Evaluation:
+    results = evaluate(samples, {"it": predictor})  # type: ignore[dict-item]
+    assert list(results) == ["it"]
+    return results["it"]
+
+
+@pytest.mark.parametrize(
+    ("fraction", "expected"),
+    [
+        (0.0, Visibility.HIDDEN),
+        (0.001, Visibility.PARTLY_VISIBLE),
+        (FULLY_VISIBLE, Visibility.PARTLY_VISIBLE),
+        (FULLY_VISIBLE + 1e-6, Visibility.FULLY_VISIBLE),
+        (1.0, Visibility.FULLY_VISIBLE),
+    ],
+)
+def test_classes_are_those_of_the_datasets_statistics(
+    fraction: float, expected: Visibility
+) -> None:
+    assert visibility(fraction) is expected
+
+
+def test_the_truth_scores_full_marks() -> None:
+    result = run([make_sample(0), make_sample(1, visible=0.0)])
+    overall = result.overall
+    assert (overall.images, overall.heaps) == (2, 2)
+    for name in (
+        "balanced_accuracy",
+        "iou",
+        "mean_balanced_accuracy",
+        "mean_iou",
+        "containment",
+    ):
+        estimate = getattr(overall, name)
+        assert (estimate.value, estimate.low, estimate.high) == (1, 1, 1), name
+    # 20 pixels of 1 on the target, 8 of 0.5 beside it.
+    assert overall.target_mass.value == pytest.approx(20 / 24)
+    assert overall.brier_score.value == pytest.approx(8 * 0.25 / 192)
+    assert set(result.by_visibility) == {
+        Visibility.HIDDEN,
+        Visibility.PARTLY_VISIBLE,
+    }
+
+
+def test_pooled_counts_and_means_by_hand() -> None:
+    # The second image has a label of one pixel, and it is found; the first
+    # has 28, of which none is.
+    small = make_sample(1)
+    occupancy = np.zeros(SHAPE)
+    occupancy[5, 6] = 1.0
+    small = dataclasses.replace(small, occupancy=occupancy)
+    images = {0: nothing, 1: truth}
+    overall = run(
+        [make_sample(0), small], lambda s: images[s.heap_seed](s)
+    ).overall
+    pixels = SHAPE[0] * SHAPE[1]
+    assert overall.counts == PixelCounts(
+        tp=1,
+        tn=(pixels - 28) + (pixels - 1),
+        positives=29,
+        negatives=2 * pixels - 29,
+        union=29,
+    )
+    assert overall.iou.value == pytest.approx(1 / 29)
+    assert overall.mean_iou.value == pytest.approx(0.5)
+    assert overall.balanced_accuracy.value == pytest.approx((1 / 29 + 1) / 2)
+    assert overall.mean_balanced_accuracy.value == pytest.approx(0.75)
+    # Nowhere is as wrong as elsewhere: it has no mass on the target.
+    assert overall.target_mass.value == pytest.approx(0.5)
+    # One of 20 pixels of the second target is in the support.
+    assert overall.containment.value == 0.0
+
+
+def test_parts_are_of_their_own_images() -> None:
+    samples = [
+        make_sample(0, visible=0.0, target_name="lid"),
+        make_sample(1, visible=0.0, target_name="box_1to1"),
+        make_sample(2, visible=0.5, target_name="lid"),
+        make_sample(4, visible=1.0, target_name="spoon"),
+    ]
+    result = run(samples, good_or_bad)
+    by = result.by_visibility
+    assert [by[v].images for v in Visibility] == [2, 1, 1]
+    assert by[Visibility.HIDDEN].mean_iou.value == 0.5
+    assert by[Visibility.FULLY_VISIBLE].mean_iou.value == 1.0
+    # In the package's order, what it does not know last.
+    assert list(result.by_target) == ["box_1to1", "lid", "spoon"]
+    assert result.by_target["box_1to1"].iou.value == 0.0
+    assert result.by_target["lid"].images == 2
+    total = sum((s.counts for s in by.values()), PixelCounts())
+    assert total == result.overall.counts
+    records = result.records
+    assert [r.key for r in records] == [s.key for s in samples]
+    assert records[1].counts == pixel_counts(
+        samples[1].occupancy, nothing(samples[1])
+    )
+
+
+def test_views_of_a_heap_are_drawn_together() -> None:
+    def width(samples: Sequence[Sample]) -> float:
+        iou = run(samples, good_or_bad).overall.mean_iou
+        assert iou.value == 0.5
+        return iou.high - iou.low
+
+    # Each heap is all right or all wrong: eight views say no more than one.
+    once = width([make_sample(i) for i in range(20)])
+    views = width([make_sample(i, view=v) for i in range(20) for v in range(8)])
+    apart = width([make_sample(i) for i in range(160)])
+    assert views == pytest.approx(once)
+    assert apart < 0.5 * views
+    # Of 20 coins: ±1.96 · 0.5/√20.
+    assert once == pytest.approx(2 * 1.96 * 0.5 / 20**0.5, rel=0.15)
+
+
+def test_an_interval_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    trials, heaps = 60, 40
+    covered = 0
+    for _ in range(trials):
+        seeds = 2 * np.arange(heaps) + (rng.random(heaps) < 0.3)
+        samples = [make_sample(int(seed)) for seed in seeds]
+        estimate = evaluate(samples, {"it": good_or_bad}, resamples=300)[
+            "it"
+        ].overall.mean_iou
+        covered += estimate.low <= 0.7 <= estimate.high
+    # 57 expected; fewer than 50 has a probability of 1 in 1000.
+    assert covered >= 50
+
+
+def test_a_seed_repeats_an_interval_and_one_heap_has_none() -> None:
+    samples = [make_sample(i) for i in range(9)]
+
+    def spread(sample: Sample) -> np.ndarray:
+        share = sample.heap_seed / 9
+        return np.where(sample.target_amodal, share, 0.1)
+
+    def interval(seed: int) -> object:
+        results = evaluate(samples, {"it": spread}, seed=seed)
+        return results["it"].overall.target_mass
+
+    assert interval(3) == interval(3)
+    assert len({interval(seed) for seed in range(5)}) > 1
+    one = run([make_sample(0), make_sample(0, view=1)]).overall
+    assert one.heaps == 1
+    assert one.iou.value == 1.0
+    assert math.isnan(one.iou.low)
+    assert math.isnan(one.iou.high)
+
+
+def test_the_support_is_the_predictors_own() -> None:
+    def faint(sample: Sample) -> np.ndarray:
+        prediction = np.where(sample.target_amodal, 0.015, 0.0)
+        prediction[4, 5] = 0.0  # 19 of 20 pixels are 95 %
+        return prediction
+
+    def message(threshold: float) -> object:
+        return lambda s: OccupancyDistribution(faint(s), threshold, "test")
+
+    results = evaluate(
+        [make_sample()],
+        {"exact": message(0.0), "network": message(0.02), "array": faint},
+        support_threshold=0.016,
+    )
+    held = {k: r.overall.containment.value for k, r in results.items()}
+    assert held == {"exact": 1.0, "network": 0.0, "array": 0.0}
+    shares = {k: r.records[0].support_share for k, r in results.items()}
+    assert shares == {"exact": 0.95, "network": 0.0, "array": 0.0}
+
+
+def test_what_an_image_does_not_define_is_left_out_of_means() -> None:
+    empty = dataclasses.replace(
+        make_sample(1),
+        occupancy=np.zeros(SHAPE),
+        target_amodal=np.zeros(SHAPE, bool),
+        target_modal=np.zeros(SHAPE, bool),
+    )
+    overall = run([make_sample(0), empty], truth).overall
+    assert overall.mean_iou.value == 1.0
+    assert overall.mean_balanced_accuracy.value == 1.0
+    assert overall.containment.value == 1.0
+    # But it is a place where nothing was to be found.
+    assert overall.target_mass.value == pytest.approx(20 / 24 / 2)
+
+
+def test_seconds_are_the_median_of_the_predictors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+
+    def slow_at_first(sample: Sample) -> np.ndarray:
+        nonlocal now
+        now += (2.5, 0.25, 0.5)[sample.heap_seed]
+        return truth(sample)
+
+    monkeypatch.setattr(time, "perf_counter", lambda: now)
+    result = run([make_sample(i) for i in range(3)], slow_at_first)
+    assert [r.seconds for r in result.records] == [2.5, 0.25, 0.5]
+    assert result.overall.seconds == 0.5
+
+
+def test_results_are_strict_json() -> None:
+    result = run([make_sample(0)], nothing)
+    text = json.dumps(result.to_dict(), allow_nan=False)
+    told = json.loads(text)
+    assert told["overall"]["iou"] == {"value": 0.0, "low": None, "high": None}
+    assert told["overall"]["counts"]["positives"] == 28
+    assert told["overall"]["containment"]["value"] == 0.0
+    assert sum(told["overall"]["calibration"]["pixels"]) == 192
+    assert sum(told["overall"]["calibration"]["observed"]) == 20
+    assert list(told["by_visibility"]) == ["partly_visible"]
+    assert list(told["by_target"]) == ["box_2to1"]
+    (image,) = told["images"]
+    assert image["heap_seed"] == image["view"] == 0
+    assert image["target_name"] == "box_2to1"
+    assert image["target_mass"] is None
+    assert image["brier_score"] == pytest.approx(20 / 192)
+
+
+def test_the_table_is_markdown() -> None:
+    samples = [
+        make_sample(i, visible=0.5 * (i > 1), target_name=name)
+        for i, name in enumerate(("lid", "lid", "domino", "lid"))
+    ]
+    lines = markdown_table(
+        evaluate(samples, {"good": truth, "odd": good_or_bad})
+    ).splitlines()
+    assert len({line.count("|") for line in lines}) == 1
+    cells = [[c.strip() for c in li.strip("|").split("|")] for li in lines]
+    assert [row[:2] for row in cells[2:]] == [
+        ["all, 4", "good"],
+        ["all, 4", "odd"],
+        ["hidden, 2", "good"],
+        ["hidden, 2", "odd"],
+        ["partly visible, 2", "good"],
+        ["partly visible, 2", "odd"],
+        ["lid, 3", "good"],
+        ["lid, 3", "odd"],
+        ["domino, 1", "good"],
+        ["domino, 1", "odd"],
+    ]
+    assert cells[2][2:4] == ["100.0%", "1.000"]
+    assert cells[3][3].startswith("0.500 (0.000 to ")
+    assert cells[3][5] == "0.500"
+    # Of one target there is no table of targets.
+    one = markdown_table({"good": run(samples[:2])})
+    assert "lid" not in one
+    assert "nan" not in one
+
+
+@pytest.mark.parametrize(
+    ("predictor", "words"),
+    [
+        (lambda s: np.zeros((3, 4)), r"\(3, 4\), not \(12, 16\)"),
+        (lambda s: 2 * truth(s), r"outside \[0, 1\]"),
+        (lambda s: truth(s) - 0.1, r"outside \[0, 1\]"),
+        (lambda s: np.full(s.shape, np.nan), "NaN"),
+    ],
+)
+def test_a_bad_prediction_is_named(predictor: object, words: str) -> None:
+    with pytest.raises(ValueError, match=words) as error:
+        run([make_sample(5)], predictor)
+    assert "of it for heap 5, box_2to1" in str(error.value)
+
+
+def test_rounding_is_no_bad_prediction() -> None:
+    assert run([make_sample()], lambda s: truth(s) * (1 + 1e-7))
+
+
+def test_nothing_to_evaluate_is_an_error() -> None:
+    with pytest.raises(ValueError, match="no sample"):
+        evaluate(iter(()), {"it": truth})
+    with pytest.raises(ValueError, match="no predictor"):
+        evaluate([make_sample()], {})
+    with pytest.raises(ValueError, match="needs draws"):
+        evaluate([make_sample()], {"it": truth}, resamples=0)
+
+
+def test_no_disturbance_is_none() -> None:
+    sample = make_sample()
+    assert Disturbance()(sample) is sample
+
+
+def test_a_wrong_camera_is_told_and_nothing_else_changes() -> None:
+    sample = make_sample()
+    told = Disturbance(height_offset=0.01, focal_error=-0.02)(sample)
+    assert told.X_WC[2, 3] == pytest.approx(0.81)
+    assert told.intrinsics[0, 0] == pytest.approx(0.98 * 17)
+    assert told.intrinsics[1, 1] == pytest.approx(0.98 * 17)
+    # The floor that is seen seems to lie so much higher as well.
+    points = told.camera.unproject(told.depth)
+    assert points[..., 2] == pytest.approx(0.01, abs=1e-6)
+    unchanged = told.X_WC.copy()
+    unchanged[2, 3] = 0.8
+    np.testing.assert_array_equal(unchanged, sample.X_WC)
+    assert told.intrinsics[0, 2] == 7.5
+    for name in ("depth", "occupancy", "target_modal", "target_amodal"):
+        np.testing.assert_array_equal(
+            getattr(told, name), getattr(sample, name)
+        )
+    assert told.key == sample.key
+
+
+def test_noise_depends_on_seed_and_sample_alone() -> None:
+    noise = DepthNoise(speckle=0.5)
+    sample = make_sample(3)
+    seen = Disturbance(noise=noise, seed=1)(sample)
+    again = Disturbance(noise=noise, seed=1)(make_sample(3))
+    np.testing.assert_array_equal(seen.depth, again.depth)
+    assert not np.array_equal(seen.depth, sample.depth)
+    np.testing.assert_array_equal(seen.occupancy, sample.occupancy)
+    for other in (
+        Disturbance(noise=noise, seed=2)(sample),
+        Disturbance(noise=noise, seed=1)(make_sample(4)),
+        Disturbance(noise=noise, seed=1)(make_sample(3, view=1)),
+    ):
+        assert not np.array_equal(seen.depth, other.depth)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"focal_error": -1.0},
+        {"focal_error": math.nan},
+        {"height_offset": math.inf},
+    ],
+)
+def test_an_impossible_camera_is_an_error(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="not"):
+        Disturbance(**wrong)
+
+
+def test_training_needs_no_drake() -> None:
+    script = (
+        "import sys\n"
+        "sys.modules['pydrake'] = None\n"
+        "import xray_drake.training.disturbance\n"
+        "import xray_drake.training.evaluation\n"
+        "assert 'torch' not in sys.modules\n"
+        "import xray_drake.training.predictors\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

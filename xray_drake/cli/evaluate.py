@@ -1,0 +1,278 @@
+"""``xray-drake evaluate``."""
+
+import errno
+import json as json_format
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from xray_drake import __version__
+from xray_drake.cli.errors import errors_as_lines
+
+if TYPE_CHECKING:
+    from xray_drake.dataset.sample import Sample
+    from xray_drake.drawing.predictions import Example
+    from xray_drake.training.evaluation import Predictor
+
+app = typer.Typer(
+    help="Say how good an inference is on labelled images.",
+    no_args_is_help=True,
+)
+
+_EXACT = "exact"
+_PICTURES = (".png", ".pdf", ".svg")
+
+
+@app.command()
+def occupancy(
+    dataset: Annotated[
+        Path, typer.Argument(metavar="DATASET", help="Holds dataset.json.")
+    ],
+    weights: Annotated[
+        list[Path] | None,
+        typer.Option(help="Of a network; repeatable."),
+    ] = None,
+    exact: Annotated[
+        bool, typer.Option("--exact/--no-exact", help="Exact inference, too.")
+    ] = True,
+    split: Annotated[
+        str | None, typer.Option(help="train, validation or test.")
+    ] = None,
+    target: Annotated[
+        list[str] | None, typer.Option(help="Of this target; repeatable.")
+    ] = None,
+    images: Annotated[
+        int | None,
+        typer.Option(min=1, help="How many, drawn at random; by default all."),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option(help="Write the results here, by image too.")
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(help="Draw examples here: PNG, PDF or SVG."),
+    ] = None,
+    examples: Annotated[
+        int, typer.Option(min=1, help="In the figure: the first images.")
+    ] = 6,
+    worst: Annotated[
+        bool,
+        typer.Option(
+            "--worst",
+            help="In the figure: those of the lowest IoU by the first "
+            "--weights, or else by exact inference.",
+        ),
+    ] = False,
+    noise: Annotated[
+        bool, typer.Option("--noise", help="Depth as a real sensor sees it.")
+    ] = False,
+    height_offset: Annotated[
+        float,
+        typer.Option(
+            help="Tell inference that the camera is so much higher, m."
+        ),
+    ] = 0.0,
+    focal_error: Annotated[
+        float,
+        typer.Option(
+            help="Tell inference that the focal length is larger by this share."
+        ),
+    ] = 0.0,
+    incomplete: Annotated[
+        bool,
+        typer.Option(
+            "--incomplete", help="Of a dataset that is being made, too."
+        ),
+    ] = False,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of the draw, noise and intervals.")
+    ] = 0,
+) -> None:
+    """Compare predicted distributions with their labels: Table I.
+
+    Intervals are 95 % bootstraps over heaps. The camera's errors and the noise
+    change what inference sees; the labels stay.
+    """
+    with errors_as_lines():
+        _check_outputs(json, figure)
+        predictors = _predictors(weights or [], exact)
+
+        from xray_drake.dataset.augmentation import DepthNoise
+        from xray_drake.dataset.reader import OccupancyDataset
+        from xray_drake.files import write_whole_file
+        from xray_drake.training.disturbance import Disturbance
+        from xray_drake.training.evaluation import evaluate, markdown_table
+
+        disturb = Disturbance(
+            noise=DepthNoise() if noise else None,
+            height_offset=height_offset,
+            focal_error=focal_error,
+            seed=seed,
+        )
+        data = OccupancyDataset(
+            dataset, split=split, targets=target or None, incomplete=incomplete
+        )
+        chosen = _draw(len(data), images, seed)
+
+        def sample(index: int) -> "Sample":
+            return disturb(data.sample(index))
+
+        results = evaluate(
+            _with_progress(chosen, sample), predictors, seed=seed
+        )
+        typer.echo(markdown_table(results))
+        if json is not None:
+            report = {
+                "version": __version__,
+                "dataset": str(dataset),
+                "split": split,
+                "targets": target or None,
+                "weights": [str(path) for path in weights or []],
+                "noise": noise,
+                "height_offset": height_offset,
+                "focal_error": focal_error,
+                "seed": seed,
+                "predictors": {
+                    name: result.to_dict() for name, result in results.items()
+                },
+            }
+            text = json_format.dumps(report, indent=1, allow_nan=False)
+            write_whole_file(json, f"{text}\n".encode())
+            typer.echo(f"wrote {json}")
+        if figure is not None:
+            from xray_drake.drawing.predictions import choose_examples
+
+            ious = {
+                name: [record.counts.iou for record in result.records]
+                for name, result in results.items()
+            }
+            first = next(iter(ious.values()))
+            drawn = choose_examples(first, examples, worst=worst)
+            if not drawn:
+                raise ValueError("no image has an IoU to find the worst by")
+            _write_figure(
+                [
+                    _example(
+                        sample(chosen[i]),
+                        predictors,
+                        {name: values[i] for name, values in ious.items()},
+                    )
+                    for i in drawn
+                ],
+                figure,
+            )
+            typer.echo(f"wrote {figure}")
+
+
+def _check_outputs(json: Path | None, figure: Path | None) -> None:
+    """Finds out before the work is done that its result has no place.
+
+    Raises:
+        ValueError: a figure's name does not end as a picture's.
+        OSError: a folder does not exist, or the file is a folder.
+    """
+    if figure is not None and figure.suffix.lower() not in _PICTURES:
+        raise ValueError(
+            f"no picture can be written to {figure}: its name should end in "
+            ".png, .pdf or .svg"
+        )
+    for path in (json, figure):
+        if path is None:
+            continue
+        if path.is_dir():
+            number = errno.EISDIR
+        elif not path.absolute().parent.is_dir():
+            number = errno.ENOENT
+        else:
+            continue
+        raise OSError(number, os.strerror(number), str(path))
+
+
+def _predictors(weights: Sequence[Path], exact: bool) -> dict[str, "Predictor"]:
+    """Returns networks, then exact inference, by the names of their rows.
+
+    Raises:
+        ValueError: there would be none, or the same file is given twice.
+    """
+    from xray_drake.training.predictors import (
+        exact_predictor,
+        learned_predictor,
+    )
+
+    if not weights and not exact:
+        raise ValueError(
+            "nothing to evaluate: give --weights, or leave out --no-exact"
+        )
+    if len(set(weights)) < len(weights):
+        raise ValueError("the same --weights are given twice")
+    stems = [_EXACT, *(path.stem for path in weights)]
+    found = {
+        path.stem if stems.count(path.stem) == 1 else str(path): (
+            learned_predictor(path)
+        )
+        for path in weights
+    }
+    return found | ({_EXACT: exact_predictor()} if exact else {})
+
+
+def _draw(total: int, images: int | None, seed: int) -> list[int]:
+    """Returns the indices of the images, in the dataset's order."""
+    from xray_drake.seeding import stream
+
+    order = stream(seed, "evaluate").permutation(total)[:images]
+    return sorted(order.tolist())
+
+
+def _with_progress(
+    indices: Sequence[int], sample: Callable[[int], "Sample"]
+) -> Iterator["Sample"]:
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("images"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bars:
+        for index in bars.track(indices):
+            yield sample(index)
+
+
+def _example(
+    sample: "Sample",
+    predictors: Mapping[str, "Predictor"],
+    ious: Mapping[str, float],
+) -> "Example":
+    from xray_drake.drawing.predictions import Example
+    from xray_drake.messages import OccupancyDistribution
+
+    predictions = {}
+    for name, predictor in predictors.items():
+        answer = predictor(sample)
+        predictions[name] = (
+            answer.data if isinstance(answer, OccupancyDistribution) else answer
+        )
+    return Example(sample=sample, predictions=predictions, ious=ious)
+
+
+def _write_figure(examples: Sequence["Example"], path: Path) -> None:
+    from xray_drake.drawing.predictions import prediction_figure
+
+    prediction_figure(examples).savefig(
+        path, format=path.suffix.removeprefix(".").lower()
+    )

@@ -1,0 +1,256 @@
+"""Learned inference of the occupancy distribution, from a file of weights."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from torch import nn
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy.aspect import (
+    aspect_ratio,
+    box_scale,
+    nearest_ratio,
+    rescale_input,
+    rescale_output,
+)
+from xray_drake.occupancy.networks.augmented_depth import augmented_depth
+from xray_drake.occupancy.networks.build import build_network
+from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
+from xray_drake.occupancy.networks.inputs import geometry_input, size_features
+from xray_drake.occupancy.networks.weights import (
+    NetworkCard,
+    WeightsError,
+    load_weights,
+    read_card,
+)
+from xray_drake.resources import models_dir
+
+Output = Literal["occupancy", "posterior"]
+
+SUPPORT_THRESHOLD = 0.02
+"""A network's answer is support above this (PROTOCOL.md, "Rollout")."""
+
+_SUFFIX = ".safetensors"
+
+
+class LearnedInference:
+    """Asks a network where the target can be.
+
+    A network that is told the target's size sees the image as it is. One that
+    was trained on a single box sees it scaled until the target is as large as
+    that box, and its answer is scaled back (paper section IV.C, "Target Object
+    Scale").
+    """
+
+    def __init__(
+        self,
+        net: nn.Module,
+        card: NetworkCard,
+        target_size: np.ndarray,
+        *,
+        output: Output = "occupancy",
+        scaling: bool = True,
+    ) -> None:
+        """Prepares a network for a target.
+
+        Args:
+            net: with its weights.
+            card: what it is.
+            target_size: (3,) length, width, thickness of the target's bounding
+                box, m.
+            output: "occupancy", where a flat target could lie; or
+                "posterior", where it probably is ("compact" only).
+            scaling: scale the image for a network of a single box; otherwise
+                it sees it as it is.
+
+        Raises:
+            ValueError: no such output, or a network that has not got it.
+        """
+        if output not in OUTPUTS:
+            raise ValueError(
+                f"no output is called {output!r}: {', '.join(OUTPUTS)}"
+            )
+        if output != "occupancy" and card.input != "geometry":
+            raise ValueError(f"{card.architecture} has no {output}")
+        self.card = card
+        self.output = output
+        self._size = np.array(target_size, dtype=float)
+        self._scale = 1.0
+        if card.box_size is not None:
+            self._scale = box_scale(self._size) if scaling else 1.0
+            thickness = self._size[2]
+            self._size = np.array([*card.box_size[:2], thickness])
+        net = net.fused() if isinstance(net, CompactNet) else net.eval()
+        for parameter in net.parameters():
+            if parameter.ndim == 4:
+                parameter.data = parameter.data.contiguous(
+                    memory_format=torch.channels_last
+                )
+        self._net: nn.Module = net
+        self._mean = np.array(card.training.get("input_mean", [0.0] * 3))
+        self._label_scale = float(card.training.get("label_scale", 1.0))
+
+    def infer(
+        self,
+        depth: np.ndarray,
+        target_mask: np.ndarray,
+        camera: PinholeCamera,
+    ) -> OccupancyDistribution:
+        """Infers where the target can be.
+
+        Args:
+            depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
+            target_mask: (H, W) bool, the target's modal mask as detected;
+                blank where it is not seen.
+            camera: of both.
+
+        Returns:
+            The distribution, divided by its maximum.
+
+        Raises:
+            ValueError: images of another shape than the camera's, or of a size
+                that the network cannot take, or a depth image without any
+                reading.
+        """
+        depth = np.asarray(depth, dtype=np.float32)
+        mask = np.asarray(target_mask, dtype=bool)
+        _check(depth, mask, camera)
+        raw = self.respond(depth, mask, camera)
+        largest = float(raw.max())
+        if largest > SUPPORT_THRESHOLD:
+            raw = raw / largest
+        return OccupancyDistribution(
+            data=raw,
+            support_threshold=SUPPORT_THRESHOLD,
+            method="learned" if self.output == "occupancy" else self.output,
+        )
+
+    def respond(
+        self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> np.ndarray:
+        """Returns the network's own answer, (H, W) float32 in [0, 1]."""
+        if self._scale != 1.0:
+            depth, mask = rescale_input(depth, mask, self._scale)
+        if self.card.input == "geometry":
+            answer = self._from_geometry(depth, mask, camera)
+        else:
+            answer = self._from_augmented_depth(depth, mask)
+        if answer.shape != depth.shape:
+            answer = cv2.resize(
+                answer, depth.shape[::-1], interpolation=cv2.INTER_LINEAR
+            )
+        if self._scale != 1.0:
+            answer = rescale_output(answer, self._scale)
+        return np.clip(answer, 0.0, 1.0)
+
+    def _from_geometry(
+        self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> np.ndarray:
+        image = geometry_input(depth, mask, camera, float(self._size[2]))
+        size = size_features(self._size, mask, camera)
+        with torch.inference_mode():
+            logits = self._net(
+                torch.from_numpy(image)[None].contiguous(
+                    memory_format=torch.channels_last
+                ),
+                torch.from_numpy(size)[None],
+            )
+            chosen = logits[0, OUTPUTS.index(self.output)]
+            return torch.sigmoid(chosen).numpy()
+
+    def _from_augmented_depth(
+        self, depth: np.ndarray, mask: np.ndarray
+    ) -> np.ndarray:
+        image = augmented_depth(depth, mask)
+        image -= self._mean.astype(np.float32)[:, None, None]
+        with torch.inference_mode():
+            answer = self._net(torch.from_numpy(image)[None])
+        return answer[0, 0].numpy() / self._label_scale
+
+
+def default_weights() -> Path:
+    """Returns the file of the weights that travel with the package."""
+    return models_dir() / "networks" / f"compact{_SUFFIX}"
+
+
+def load_inference(
+    path: Path,
+    *,
+    target_size: np.ndarray,
+    output: Output = "occupancy",
+    scaling: bool = True,
+) -> LearnedInference:
+    """Reads a network from disk and prepares it for a target.
+
+    Args:
+        path: of the weights; or a folder of networks of one box each, of which
+            the one with the nearest aspect ratio is taken (section IV.C).
+        target_size: (3,) length, width, thickness, m.
+        output: see :class:`LearnedInference`.
+        scaling: see :class:`LearnedInference`.
+
+    Raises:
+        WeightsError: there are no weights, or they are no network's of this
+            package.
+        ValueError: an output that the network has not got.
+    """
+    if path.is_dir():
+        path = _nearest(path, target_size)
+    changed = path.stat().st_mtime_ns if path.is_file() else 0
+    net, card = _load(path.resolve(), changed)
+    return LearnedInference(
+        net, card, target_size, output=output, scaling=scaling
+    )
+
+
+@lru_cache(maxsize=16)
+def _load(path: Path, changed: int) -> tuple[nn.Module, NetworkCard]:
+    state, card = load_weights(path)
+    try:
+        net = build_network(card.architecture, card.options)
+        net.load_state_dict(state)
+    except (ValueError, RuntimeError) as error:
+        raise WeightsError(
+            f"{path} does not fit this version's {card.architecture!r} "
+            f"network: {str(error).splitlines()[0]}; train it again with "
+            "'xray-drake train'"
+        ) from error
+    return net.eval(), card
+
+
+def _nearest(folder: Path, target_size: np.ndarray) -> Path:
+    by_ratio: dict[float, Path] = {}
+    for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        box = read_card(path).box_size
+        if box is not None:
+            by_ratio[aspect_ratio(np.array(box))] = path
+    if not by_ratio:
+        raise WeightsError(
+            f"{folder} holds no network of a single box: make some with "
+            "'xray-drake train', or give a file of weights"
+        )
+    return by_ratio[nearest_ratio(aspect_ratio(target_size), list(by_ratio))]
+
+
+def _check(depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera) -> None:
+    for name, image in (("depth image", depth), ("target mask", mask)):
+        if image.shape != camera.shape:
+            raise ValueError(
+                f"the {name} is {image.shape}, the camera's images are "
+                f"{camera.shape}"
+            )
+    if camera.height % 32 or camera.width % 32:
+        raise ValueError(
+            f"a network takes images whose sides are multiples of 32, not "
+            f"{camera.shape}"
+        )
+    if not ((depth > 0) & np.isfinite(depth)).any():
+        raise ValueError(
+            "the depth image has no reading: look at the sensor, or at what "
+            "is connected to the depth port"
+        )

@@ -1,0 +1,31 @@
+"""Networks by their architecture's name."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from torch import nn
+
+from xray_drake.occupancy.networks.compact import CompactNet
+from xray_drake.occupancy.networks.fcn_resnet50 import FCNResNet50
+
+ARCHITECTURES: Mapping[str, Callable[..., nn.Module]] = {
+    "compact": CompactNet,
+    "fcn_resnet50": FCNResNet50,
+}
+
+
+def build_network(architecture: str, options: Mapping[str, Any]) -> nn.Module:
+    """Makes a network with weights drawn at random.
+
+    Raises:
+        ValueError: no such architecture, or options that it does not take.
+    """
+    if architecture not in ARCHITECTURES:
+        raise ValueError(
+            f"no network is called {architecture!r}: "
+            f"{', '.join(sorted(ARCHITECTURES))}"
+        )
+    try:
+        return ARCHITECTURES[architecture](**options)
+    except TypeError as error:
+        raise ValueError(f"{architecture}: {error}") from error

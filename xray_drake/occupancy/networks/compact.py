@@ -1,0 +1,138 @@
+"""A small network for every target size, fast on a CPU."""
+
+import copy
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+OUTPUTS = ("occupancy", "posterior")
+"""The channels of the output; see :class:`CompactNet`."""
+
+
+class CompactNet(nn.Module):
+    """A U-Net whose blocks are told the target's size.
+
+    It sees geometry (:mod:`xray_drake.occupancy.networks.inputs`) at half the
+    camera's resolution, works at a quarter and below, and answers at half.
+    Two answers come from the same features: the occupancy distribution as the
+    paper labels it (where a flat target *could* lie), and the posterior (how
+    probable each pixel shows the target, learned from where targets *were*).
+
+    The size enters by a scale and a shift of each block's features
+    (feature-wise linear modulation, Perez et al. 2018). At the coarsest level
+    the mean over the image is added, since a distribution is relative to its
+    maximum, wherever that is.
+    """
+
+    def __init__(
+        self,
+        in_channels: int = 5,
+        size_features: int = 5,
+        widths: Sequence[int] = (16, 48, 96, 160),
+        depths: Sequence[int] = (1, 1, 2, 2),
+    ) -> None:
+        """Makes the layers.
+
+        Args:
+            in_channels: of the image.
+            size_features: length of the vector that describes the target.
+            widths: channels at 1/4, 1/8, 1/16 and 1/32 of the camera's
+                resolution.
+            depths: blocks at each on the way down; one each on the way up.
+        """
+        super().__init__()
+        w1, w2, w3, w4 = widths
+        code = 64
+        self.size_code = nn.Sequential(
+            nn.Linear(size_features, code),
+            nn.SiLU(),
+            nn.Linear(code, code),
+            nn.SiLU(),
+        )
+        self.stem = nn.Conv2d(4 * in_channels, w1, 3, padding=1)
+        self.down1 = _stage(w1, code, depths[0])
+        self.shrink2 = nn.Conv2d(w1, w2, 2, stride=2)
+        self.down2 = _stage(w2, code, depths[1])
+        self.shrink3 = nn.Conv2d(w2, w3, 2, stride=2)
+        self.down3 = _stage(w3, code, depths[2])
+        self.shrink4 = nn.Conv2d(w3, w4, 2, stride=2)
+        self.down4 = _stage(w4, code, depths[3])
+        self.overall = nn.Linear(w4, w4)
+        self.grow3 = nn.Conv2d(w4, w3, 1)
+        self.up3 = _stage(w3, code, 1)
+        self.grow2 = nn.Conv2d(w3, w2, 1)
+        self.up2 = _stage(w2, code, 1)
+        self.grow1 = nn.Conv2d(w2, w1, 1)
+        self.up1 = _stage(w1, code, 1)
+        self.head = nn.Conv2d(w1, 4 * len(OUTPUTS), 3, padding=1)
+        # Most pixels are empty: begin there.
+        assert self.head.bias is not None
+        nn.init.constant_(self.head.bias, -3.0)
+
+    def forward(self, image: Tensor, size: Tensor) -> Tensor:
+        """Returns logits.
+
+        Args:
+            image: (B, in_channels, h, w) with h and w multiples of 16.
+            size: (B, size_features).
+
+        Returns:
+            (B, 2, h, w): logits of :data:`OUTPUTS`.
+        """
+        code = self.size_code(size)  # (B, 64)
+        x = nn.functional.pixel_unshuffle(image, 2)  # (B, 4·in, h/2, w/2)
+        x1 = self.down1((self.stem(x), code))[0]  # (B, 16, h/2, w/2)
+        x2 = self.down2((self.shrink2(x1), code))[0]  # (B, 48, h/4, w/4)
+        x3 = self.down3((self.shrink3(x2), code))[0]  # (B, 96, h/8, w/8)
+        x4 = self.down4((self.shrink4(x3), code))[0]  # (B, 160, h/16, w/16)
+        overall = self.overall(x4.mean(dim=(2, 3)))  # (B, 160)
+        x4 = x4 + overall[:, :, None, None]
+        x = x3 + _grown(self.grow3(x4))  # (B, 96, h/8, w/8)
+        x = x2 + _grown(self.grow2(self.up3((x, code))[0]))  # (B, 48, h/4, …)
+        x = x1 + _grown(self.grow1(self.up2((x, code))[0]))  # (B, 16, h/2, …)
+        x = self.head(self.up1((x, code))[0])  # (B, 8, h/2, w/2)
+        return nn.functional.pixel_shuffle(x, 2)  # (B, 2, h, w)
+
+    def fused(self) -> "CompactNet":
+        """Returns a copy for inference, normalisation within convolutions."""
+        net = copy.deepcopy(self).eval()
+        for block in net.modules():
+            if isinstance(block, _Block):
+                assert isinstance(block.norm1, nn.BatchNorm2d)
+                assert isinstance(block.norm2, nn.BatchNorm2d)
+                block.conv1 = fuse_conv_bn_eval(block.conv1, block.norm1)
+                block.conv2 = fuse_conv_bn_eval(block.conv2, block.norm2)
+                block.norm1, block.norm2 = nn.Identity(), nn.Identity()
+        return net
+
+
+class _Block(nn.Module):
+    """Two convolutions beside the identity, modulated by the size."""
+
+    def __init__(self, width: int, code: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.norm1: nn.Module = nn.BatchNorm2d(width)
+        self.modulation = nn.Linear(code, 2 * width)
+        self.conv2 = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.norm2: nn.Module = nn.BatchNorm2d(width)
+        nn.init.zeros_(self.modulation.weight)
+        nn.init.zeros_(self.modulation.bias)
+
+    def forward(self, pair: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        x, code = pair  # (B, width, h, w), (B, code)
+        scale, shift = self.modulation(code)[:, :, None, None].chunk(2, dim=1)
+        y = self.norm1(self.conv1(x))
+        y = nn.functional.relu(y * (1 + scale) + shift)
+        y = self.norm2(self.conv2(y))
+        return nn.functional.relu(x + y), code
+
+
+def _stage(width: int, code: int, depth: int) -> nn.Sequential:
+    return nn.Sequential(*(_Block(width, code) for _ in range(depth)))
+
+
+def _grown(x: Tensor) -> Tensor:
+    """(B, C, h, w) to (B, C, 2h, 2w)."""
+    return nn.functional.interpolate(x, scale_factor=2, mode="nearest")

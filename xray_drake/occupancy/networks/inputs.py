@@ -1,0 +1,156 @@
+"""What the compact network sees: geometry instead of raw depth.
+
+A pixel hides a flat target if the surface seen there is higher than the target
+is thick; that, the target's visible pixels and the floor's outline are all that
+the label depends on. So the network gets the height above the floor plane, from
+the camera's pose, and need not learn perspective.
+"""
+
+import cv2
+import numpy as np
+
+from xray_drake.geometry.camera import PinholeCamera
+
+CHANNELS = ("cover", "height", "reading", "modal", "floor")
+"""Of :func:`geometry_input`."""
+
+SIZE_FEATURES = ("length", "width", "thickness", "hidden", "visible")
+"""Of :func:`size_features`."""
+
+FLOOR = (-0.25, 0.25, -0.20, 0.20)
+"""Inside of the bin floor: x low, x high, y low, y high, m."""
+
+_COVER_WIDTH = 0.002
+"""m above and below the target's top, over which "cover" goes from 0 to 1."""
+
+_LOWEST, _HIGHEST = -0.02, 0.20
+"""m, of the heights that are told apart."""
+
+_TYPICAL_PIXELS = 40.0
+"""Length of a target in an image 512 wide."""
+
+_TYPICAL_THICKNESS = 0.01
+
+
+def heights_above_floor(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Returns world z of what each pixel shows.
+
+    Args:
+        depth: (H, W) z-depth, m; 0, inf and NaN are no reading.
+        camera: of the image.
+
+    Returns:
+        (H, W) float32, m; NaN where there is no reading.
+    """
+    u_slope, v_slope, offset = _ray_slopes(camera)[2]
+    columns = np.arange(camera.width, dtype=np.float32) * np.float32(u_slope)
+    rows = np.arange(camera.height, dtype=np.float32) * np.float32(v_slope)
+    drop = columns[None, :] + (rows + np.float32(offset))[:, None]
+    depth = np.asarray(depth, dtype=np.float32)
+    valid = (depth > 0) & np.isfinite(depth)
+    heights = np.where(valid, depth, np.float32(np.nan))
+    heights *= drop
+    heights += np.float32(camera.X_WC[2, 3])
+    return heights
+
+
+def geometry_input(
+    depth: np.ndarray,
+    mask: np.ndarray,
+    camera: PinholeCamera,
+    thickness: float,
+) -> np.ndarray:
+    """Returns the compact network's image, at half the camera's resolution.
+
+    Args:
+        depth: (H, W) z-depth, m; 0, inf and NaN are no reading.
+        mask: (H, W) bool, the target's visible pixels; blank where hidden.
+        camera: of both; H and W are even.
+        thickness: of the target, m.
+
+    Returns:
+        (5, H/2, W/2) float32 in [0, 1], each the mean over 2 × 2 pixels:
+        "cover", 1 where the surface is higher than the target's top, 0 where
+        lower or without a reading; the height; whether there is a reading; the
+        mask; whether the pixel's ray meets the plane z = 0 within the bin.
+    """
+    heights = heights_above_floor(depth, camera)
+    reading = ~np.isnan(heights)
+    np.nan_to_num(heights, copy=False, nan=-1.0)
+    half = camera.height // 2, camera.width // 2
+    image = np.empty((len(CHANNELS), *half), np.float32)
+    cover = (heights - np.float32(thickness)) / np.float32(2 * _COVER_WIDTH)
+    cover += np.float32(0.5)
+    _halved(np.clip(cover, 0, 1, out=cover), image[0])
+    heights -= np.float32(_LOWEST)
+    heights *= np.float32(1 / (_HIGHEST - _LOWEST))
+    _halved(np.clip(heights, 0, 1, out=heights), image[1])
+    _halved(reading.astype(np.float32), image[2])
+    _halved(np.asarray(mask, dtype=np.float32), image[3])
+    image[4] = _on_floor(camera, half)
+    return image
+
+
+def size_features(
+    size: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+) -> np.ndarray:
+    """Returns what the compact network is told of the target.
+
+    Args:
+        size: (3,) length, width, thickness of its bounding box, m.
+        mask: (H, W) bool, its visible pixels.
+        camera: of the mask.
+
+    Returns:
+        (5,) float32: logarithms of length and width in the image, thickness,
+        1 if nothing of it is seen, and about the share that is seen.
+    """
+    down = _ray_slopes(camera)[2]
+    K = camera.intrinsics
+    center = down[0] * K[0, 2] + down[1] * K[1, 2] + down[2]
+    distance = camera.X_WC[2, 3] / max(-center, 1e-6)
+    long, short = max(size[0], size[1]), min(size[0], size[1])
+    pixels = K[0, 0] / distance * np.array([long, short])
+    scale = _TYPICAL_PIXELS * camera.width / 512
+    seen = np.count_nonzero(mask)
+    return np.array(
+        [
+            *np.log(np.maximum(pixels, 1e-3) / scale),
+            size[2] / _TYPICAL_THICKNESS,
+            float(seen == 0),
+            min(1.0, seen / pixels.prod()),
+        ],
+        dtype=np.float32,
+    )
+
+
+def _ray_slopes(camera: PinholeCamera) -> np.ndarray:
+    """Returns 3×3, from (u, v, 1) to world rays of unit z-depth."""
+    return camera.X_WC[:3, :3] @ np.linalg.inv(camera.intrinsics)
+
+
+def _on_floor(camera: PinholeCamera, half: tuple[int, int]) -> np.ndarray:
+    """(H/2, W/2) float32: 1 where a ray meets z = 0 within the bin."""
+    u = 2 * np.arange(half[1]) + 0.5
+    v = 2 * np.arange(half[0]) + 0.5
+    slopes = _ray_slopes(camera)
+    x, y, z = (
+        a * u[None, :] + b * v[:, None] + c for a, b, c in slopes.tolist()
+    )
+    C = camera.X_WC[:3, 3]
+    # At z = 0 a ray has gone −C_z/z; times −z, all is linear and positive.
+    down = -z
+    x, y = C[0] * down + C[2] * x, C[1] * down + C[2] * y
+    x_low, x_high, y_low, y_high = FLOOR
+    return (
+        (down > 0)
+        & (x >= x_low * down)
+        & (x <= x_high * down)
+        & (y >= y_low * down)
+        & (y <= y_high * down)
+    ).astype(np.float32)
+
+
+def _halved(image: np.ndarray, out: np.ndarray) -> None:
+    height, width = out.shape
+    cv2.resize(image, (width, height), dst=out, interpolation=cv2.INTER_AREA)

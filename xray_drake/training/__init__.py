@@ -1,0 +1,1 @@
+"""Training and evaluation of the occupancy networks; without Drake."""

@@ -1,0 +1,92 @@
+"""What training minimises, and how it is watched."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_BETA = 0.1
+"""Smaller errors count by their square: PROTOCOL.md asks for less than 0.2."""
+
+_AREA = 64.0
+"""Pixels added to a label's area, so that small ones do not rule."""
+
+_ENTROPY_WEIGHT = 2.0
+_POSTERIOR_WEIGHT = 10.0
+"""A target fills about one pixel in a hundred."""
+
+POSITIVE = 0.1
+CLOSE = 0.2
+"""PROTOCOL.md, "Metrics"."""
+
+
+def robust_loss(logits: Tensor, label: Tensor) -> Tensor:
+    """Returns the loss of the occupancy distribution.
+
+    Smooth L1, since the metrics ask whether a pixel is within 0.2, once
+    relative to the labels' area in the whole batch and once image by image
+    (a target that is partly seen has a small one, but it decides the next
+    grasp); and cross entropy, which moves what is wrong and sure of it.
+
+    Args:
+        logits: (B, h, w).
+        label: (B, h, w) in [0, 1].
+    """
+    error = functional.smooth_l1_loss(
+        torch.sigmoid(logits), label, beta=_BETA, reduction="none"
+    ).sum(dim=(1, 2))
+    area = (label > POSITIVE).sum(dim=(1, 2)).to(error.dtype)
+    pooled = error.sum() / (area.sum() + _AREA)
+    each = (error / (area + _AREA)).mean()
+    entropy = functional.binary_cross_entropy_with_logits(logits, label)
+    return pooled + each + _ENTROPY_WEIGHT * entropy
+
+
+def mse_loss(output: Tensor, label: Tensor) -> Tensor:
+    """Returns the mean squared error over pixels and images (section IV.B)."""
+    return functional.mse_loss(output, label)
+
+
+def posterior_loss(logits: Tensor, amodal: Tensor, real: Tensor) -> Tensor:
+    """Returns the log score of where targets really were.
+
+    A proper scoring rule: the least expected loss has each pixel's true
+    probability.
+
+    Args:
+        logits: (B, h, w).
+        amodal: (B, h, w) in [0, 1], the true amodal mask.
+        real: (B,) bool; other items do not count.
+    """
+    if not real.any():
+        return logits.sum() * 0.0
+    score = functional.binary_cross_entropy_with_logits(
+        logits[real], amodal[real]
+    )
+    return _POSTERIOR_WEIGHT * score
+
+
+def pixel_counts(output: Tensor, label: Tensor) -> Tensor:
+    """Returns (5,): TP, TN, positives, negatives, union; PROTOCOL.md."""
+    positive = label > POSITIVE
+    close = (output - label).abs() < CLOSE
+    return torch.stack(
+        [
+            (positive & close).sum(),
+            (~positive & close).sum(),
+            positive.sum(),
+            (~positive).sum(),
+            (positive | (output > POSITIVE)).sum(),
+        ]
+    ).double()
+
+
+def summary(counts: Tensor) -> dict[str, float]:
+    """Returns balanced accuracy and IoU of (5,) pooled counts."""
+    tp, tn, positives, negatives, union = counts.tolist()
+    nan = float("nan")
+    return {
+        "balanced_accuracy": (tp / positives + tn / negatives) / 2
+        if positives and negatives
+        else nan,
+        "iou": tp / union if union else nan,
+    }

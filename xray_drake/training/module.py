@@ -1,0 +1,124 @@
+"""The training loop's contents, for Lightning."""
+
+import math
+from typing import Any
+
+import lightning
+import torch
+from torch import Tensor, nn
+
+from xray_drake.occupancy.networks.inputs import CHANNELS
+from xray_drake.training.config import TrainConfig
+from xray_drake.training.data import Batch
+from xray_drake.training.losses import (
+    pixel_counts,
+    posterior_loss,
+    robust_loss,
+    summary,
+)
+
+
+class CompactTraining(lightning.LightningModule):
+    """Trains a network of geometry and size; logs PROTOCOL.md's metrics.
+
+    They are of half the camera's resolution here; ``xray-drake evaluate`` has
+    them in full.
+    """
+
+    def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
+        """Keeps what it is given.
+
+        Args:
+            net: to be trained.
+            config: of the run.
+            steps: of the optimizer, in all.
+        """
+        super().__init__()
+        self.net = net
+        self._config = config
+        self._steps = steps
+        self._counts = torch.zeros(5, dtype=torch.float64)
+        self._mass: list[Tensor] = []
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        """Returns the loss of one batch, mirrored at random."""
+        images, sizes, real = batch
+        generator = torch.Generator().manual_seed(
+            self._config.seed * 1_000_003 + self.global_step
+        )
+        flips = torch.rand(2, generator=generator) < 0.5
+        axes = [axis for axis, flip in zip((2, 3), flips, strict=True) if flip]
+        return self._loss("train", (images.flip(axes), sizes, real))[0]
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        """Counts pixels."""
+        _, output = self._loss("validation", batch)
+        images, _, real = batch
+        label, amodal = images[:, -2].float() / 255, images[:, -1].float() / 255
+        occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
+        self._counts += pixel_counts(occupancy, label).cpu()
+        share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
+        self._mass.append(share[real].cpu())
+
+    def on_validation_epoch_end(self) -> None:
+        """Logs what was counted."""
+        for name, value in summary(self._counts).items():
+            self.log(f"validation/{name}", value, prog_bar=True)
+        mass = torch.cat(self._mass)
+        if len(mass):
+            self.log("validation/mass_on_target", mass.mean())
+        self._counts.zero_()
+        self._mass.clear()
+
+    def configure_optimizers(self) -> Any:
+        """Returns AdamW or SGD, and the schedule."""
+        config = self._config
+        if config.optimizer == "sgd":
+            return torch.optim.SGD(
+                self.net.parameters(),
+                config.learning_rate,
+                momentum=config.momentum,
+                weight_decay=config.weight_decay,
+            )
+        optimizer = torch.optim.AdamW(
+            self.net.parameters(),
+            config.learning_rate,
+            weight_decay=config.weight_decay,
+        )
+        rise = max(1.0, config.warmup * self._steps)
+
+        def rate(step: int) -> float:
+            if step < rise:
+                return (step + 1) / rise
+            gone = min(1.0, (step - rise) / max(1.0, self._steps - rise))
+            return 0.5 * (1 + math.cos(math.pi * gone))
+
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, rate)
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
+        }
+
+    def _loss(self, stage: str, batch: Batch) -> tuple[Tensor, Tensor]:
+        images, sizes, real = batch
+        scaled = images.float() / 255
+        inputs = scaled[:, : len(CHANNELS)].contiguous(
+            memory_format=torch.channels_last
+        )
+        output = self.net(inputs, sizes)  # (B, 2, h, w)
+        logits = output.float()
+        occupancy = robust_loss(logits[:, 0], scaled[:, -2])
+        posterior = posterior_loss(logits[:, 1], scaled[:, -1], real)
+        loss = occupancy + self._config.posterior_weight * posterior
+        training = stage == "train"
+        self.log_dict(
+            {
+                f"{stage}/loss": loss,
+                f"{stage}/occupancy_loss": occupancy,
+                f"{stage}/posterior_loss": posterior,
+            },
+            on_step=training,
+            on_epoch=not training,
+            batch_size=len(images),
+        )
+        return loss, output

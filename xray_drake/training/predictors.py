@@ -1,0 +1,51 @@
+"""The inferences of the package, as an evaluation asks them."""
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xray_drake.dataset.sample import Sample
+from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy.exact import ExactInference
+from xray_drake.scene.targets import target_model
+from xray_drake.training.evaluation import Predictor
+
+if TYPE_CHECKING:
+    from xray_drake.occupancy.system import OccupancyModel
+
+
+def exact_predictor() -> Predictor:
+    """Returns exact inference; each target is prepared once.
+
+    A sample of a target that is none of the package's is a ``ValueError``.
+    """
+
+    @cache
+    def inference(name: str) -> ExactInference:
+        return ExactInference(target_model(name))
+
+    return lambda sample: _infer(inference(sample.target_name), sample)
+
+
+def learned_predictor(path: Path) -> Predictor:
+    """Returns a network's inference; each size of target is prepared once.
+
+    Args:
+        path: of its weights; read when the first sample is asked about.
+    """
+    # The networks are not needed where only exact inference is asked.
+    from xray_drake.occupancy.learned import load_inference
+
+    @cache
+    def inference(size: tuple[float, ...]) -> "OccupancyModel":
+        return load_inference(path, target_size=np.array(size))
+
+    return lambda sample: _infer(
+        inference(tuple(sample.target_size.tolist())), sample
+    )
+
+
+def _infer(model: "OccupancyModel", sample: Sample) -> OccupancyDistribution:
+    return model.infer(sample.depth, sample.target_modal, sample.camera)

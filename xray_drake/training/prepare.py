@@ -1,0 +1,264 @@
+"""Turns a dataset into arrays that a network trains on, once.
+
+Reading a shard, computing heights and placing virtual targets costs more than
+a training step. What comes of it is kept: for each shard of the dataset one
+file of 8-bit images, mapped into memory later. Files of shards that are there
+already are not made again, so preparing can be stopped, and can follow a
+dataset that is still being made.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from xray_drake.dataset.augmentation import DepthNoise, resize_mask
+from xray_drake.dataset.images import LabelledImages
+from xray_drake.dataset.manifest import DatasetError, read_manifest
+from xray_drake.dataset.reader import is_held_out
+from xray_drake.dataset.sample import Sample
+from xray_drake.dataset.shards import ShardReader
+from xray_drake.dataset.virtual import is_virtual, virtual_sample
+from xray_drake.files import write_whole_file
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.networks.inputs import (
+    CHANNELS,
+    geometry_input,
+    size_features,
+)
+from xray_drake.seeding import stream
+from xray_drake.threads import limit_threads
+
+IMAGES = (*CHANNELS, "occupancy", "amodal")
+"""What an item's 8-bit images are, in [0, 255]."""
+
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class PrepareConfig:
+    """How samples become items."""
+
+    # Virtual targets placed into each image.
+    virtual: int = 2
+    # Share of items with the noise of a depth sensor.
+    noisy: float = 0.5
+    # Share of items whose camera is not quite where inference is told.
+    miscalibrated: float = 0.5
+    # Standard deviations of the camera's height, m, ...
+    height_error: float = 0.0015
+    # ... of its tilt about both axes, rad, ...
+    tilt_error: float = 0.002
+    # ... and of its focal length, relative.
+    focal_error: float = 0.005
+    # Share of masks that are a pixel too large or too small.
+    mask_errors: float = 0.25
+    # The sensor.
+    noise: DepthNoise = field(default_factory=DepthNoise)
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """The items of one shard.
+
+    Attributes:
+        images: (n, 7, h, w) uint8, see :data:`IMAGES`; mapped from disk.
+        sizes: (n, 5) float32, see ``size_features``.
+        real: (n,) bool; False for a virtual target.
+        held_out: (n,) bool; True for heaps kept for validation.
+        targets: the targets' names.
+    """
+
+    images: np.ndarray
+    sizes: np.ndarray
+    real: np.ndarray
+    held_out: np.ndarray
+    targets: tuple[str, ...]
+
+
+def plan(
+    datasets: Sequence[Path],
+    folder: Path,
+    config: PrepareConfig,
+    validation_share: float,
+) -> list[tuple[Path, Path]]:
+    """Lists the shards that are there, and the file of each one's items.
+
+    Args:
+        datasets: folders.
+        folder: where the items go.
+        config: how they are made.
+        validation_share: share of the heaps whose items are held out.
+
+    Raises:
+        DatasetError: a dataset that cannot be read, or no shard at all.
+    """
+    shards = [
+        dataset / expected.name
+        for dataset in datasets
+        for expected in read_manifest(dataset).expected_shards()
+    ]
+    jobs = [
+        (shard, folder / _item_name(shard, config, validation_share))
+        for shard in shards
+        if shard.is_file()
+    ]
+    if not jobs:
+        names = ", ".join(map(str, datasets))
+        raise DatasetError(f"no shard in {names}: run 'xray-drake generate'")
+    return jobs
+
+
+def prepare(
+    jobs: Sequence[tuple[Path, Path]],
+    config: PrepareConfig,
+    validation_share: float,
+    *,
+    workers: int = 1,
+) -> Iterator[int]:
+    """Makes the items of shards; yields how many shards are done.
+
+    Args:
+        jobs: of :func:`plan`.
+        config: the same as there.
+        validation_share: the same as there.
+        workers: processes.
+
+    Raises:
+        ShardError: a damaged shard.
+        OSError: the items cannot be written.
+    """
+    missing = [job for job in jobs if not job[1].is_file()]
+    done = len(jobs) - len(missing)
+    yield done
+    if not missing:
+        return
+    for _, path in missing:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    limit_threads()
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = [
+            pool.submit(prepare_shard, *job, config, validation_share)
+            for job in missing
+        ]
+        try:
+            for future in as_completed(futures):
+                future.result()
+                done += 1
+                yield done
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _item_name(shard: Path, config: PrepareConfig, share: float) -> str:
+    """Names the file of a shard's items by all that decides what is in it."""
+    what = json.dumps(
+        [str(shard.resolve()), asdict(config), share, _VERSION], sort_keys=True
+    )
+    digest = hashlib.blake2b(what.encode(), digest_size=6).hexdigest()
+    return f"{shard.stem}-{digest}.npy"
+
+
+def prepare_shard(
+    shard: Path, path: Path, config: PrepareConfig, validation_share: float
+) -> None:
+    """Makes the items of one shard: ``path``, and beside it its vectors."""
+    cv2.setNumThreads(1)
+    images, sizes, real, held_out, targets = [], [], [], [], []
+    with ShardReader(shard) as reader:
+        for index, key in enumerate(reader.keys):
+            rng = stream(config.seed, f"prepare {key}")
+            sample = reader.sample(index)
+            made = [virtual_sample(sample, rng) for _ in range(config.virtual)]
+            for each in (sample, *made):
+                if each is None:
+                    continue
+                image, size = make_item(each, config, rng)
+                images.append(image)
+                sizes.append(size)
+                real.append(not is_virtual(each.target_name))
+                held_out.append(is_held_out(key.heap_seed, validation_share))
+                targets.append(each.target_name)
+    vectors, items = io.BytesIO(), io.BytesIO()
+    np.savez(
+        vectors,
+        sizes=np.array(sizes),
+        real=np.array(real),
+        held_out=np.array(held_out),
+        targets=np.array(targets),
+    )
+    np.save(items, np.stack(images))
+    # The images last: where they are, all is.
+    write_whole_file(path.with_suffix(".npz"), vectors.getvalue())
+    write_whole_file(path, items.getvalue())
+
+
+def open_prepared(path: Path) -> Prepared:
+    """Maps the items of a shard into memory.
+
+    Raises:
+        OSError, ValueError: they are not whole.
+    """
+    with np.load(path.with_suffix(".npz"), allow_pickle=False) as vectors:
+        return Prepared(
+            images=np.load(path, mmap_mode="r", allow_pickle=False),
+            sizes=vectors["sizes"],
+            real=vectors["real"],
+            held_out=vectors["held_out"],
+            targets=tuple(vectors["targets"].tolist()),
+        )
+
+
+def make_item(
+    sample: Sample, config: PrepareConfig, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns (7, h, w) uint8 images and (5,) features of a sample.
+
+    The sensor's noise and the errors of calibration are drawn here.
+    """
+    camera = sample.camera
+    seen = LabelledImages(
+        depth=sample.depth,
+        modal=sample.target_modal,
+        amodal=sample.target_amodal,
+        occupancy=sample.occupancy,
+        focal_length=float(camera.intrinsics[0, 0]),
+    )
+    if rng.random() < config.noisy:
+        seen = config.noise(seen, rng)
+    if rng.random() < config.mask_errors and np.count_nonzero(seen.modal) > 40:
+        seen = resize_mask(seen, int(rng.choice([-1, 1])))
+    if rng.random() < config.miscalibrated:
+        camera = _miscalibrated(camera, config, rng)
+    size = sample.target_size
+    inputs = geometry_input(seen.depth, seen.modal, camera, float(size[2]))
+    labels = [
+        cv2.resize(image, inputs.shape[:0:-1], interpolation=cv2.INTER_AREA)
+        for image in (seen.occupancy, seen.amodal.astype(np.float32))
+    ]
+    image = np.concatenate([inputs, np.stack(labels)])
+    features = size_features(size, seen.modal, camera)
+    return np.rint(image * 255).astype(np.uint8), features
+
+
+def _miscalibrated(
+    camera: PinholeCamera, config: PrepareConfig, rng: np.random.Generator
+) -> PinholeCamera:
+    a, b = rng.normal(0, config.tilt_error, 2)
+    R, _ = np.linalg.qr(np.array([[1, 0, -b], [0, 1, a], [b, -a, 1]]))
+    R = R * np.sign(np.diag(R))
+    X_WC = np.array(camera.X_WC)
+    X_WC[:3, :3] = X_WC[:3, :3] @ R
+    X_WC[2, 3] += rng.normal(0, config.height_error)
+    K = np.array(camera.intrinsics)
+    K[[0, 1], [0, 1]] *= 1 + rng.normal(0, config.focal_error)
+    return replace(camera, intrinsics=K, X_WC=X_WC)
