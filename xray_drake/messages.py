@@ -81,7 +81,8 @@ class OccupancyDistribution(Message):
     """Where the target can be (paper section III.B: ρ).
 
     Attributes:
-        data: (H, W) float32 in [0, 1]; its maximum is 1, or all is 0.
+        data: (H, W) float32 in [0, 1]. Of labels and exact inference the
+            maximum is 1, or all is 0; a network's answer is as it comes.
         support_threshold: values above it are support: 0 for labels and exact
             inference, 0.02 for networks.
         method: how it came about, for the record: ``"exact"`` and the like.

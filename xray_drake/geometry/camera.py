@@ -60,6 +60,19 @@ class PinholeCamera:
         v = K[1, 1] * p_C[..., 1] / z + K[1, 2]
         return np.stack([u, v, z], axis=-1)
 
+    @property
+    def pixel_to_ray(self) -> np.ndarray:
+        """The 3×3 map from (u, v, 1) to world rays of unit z-depth."""
+        K = self.intrinsics
+        from_pixel = np.array(
+            [
+                [1 / K[0, 0], 0.0, -K[0, 2] / K[0, 0]],
+                [0.0, 1 / K[1, 1], -K[1, 2] / K[1, 1]],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        return np.ascontiguousarray(self.X_WC[:3, :3] @ from_pixel)
+
     def rays(self) -> np.ndarray:
         """Returns (H, W, 3): per pixel, p_W − camera centre at unit z-depth."""
         K = self.intrinsics

@@ -100,7 +100,7 @@ def occupancy_label(
     outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
     relative, floor = relative_depths(
         scene,
-        _pixel_rays(camera),
+        camera.pixel_to_ray,
         np.array(camera.X_WC[:3, 3]),
         np.array(config.floor) + outward,
         config.depth_tolerance,
@@ -224,19 +224,6 @@ def _pivot(p_WT: np.ndarray, camera: PinholeCamera) -> np.ndarray:
             f"the target's origin {p_WT.tolist()} is outside the image"
         )
     return np.array([u, v])
-
-
-def _pixel_rays(camera: PinholeCamera) -> np.ndarray:
-    """Returns 3×3, from (u, v, 1) to world rays of unit z-depth."""
-    K = camera.intrinsics
-    from_pixel = np.array(
-        [
-            [1 / K[0, 0], 0.0, -K[0, 2] / K[0, 0]],
-            [0.0, 1 / K[1, 1], -K[1, 2] / K[1, 1]],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    return np.ascontiguousarray(camera.X_WC[:3, :3] @ from_pixel)
 
 
 def _modal(

@@ -110,7 +110,8 @@ class LearnedInference:
             camera: of both.
 
         Returns:
-            The distribution, divided by its maximum.
+            The network's answer as it is: a label's maximum is 1, an answer's
+            may be less, and a posterior's are probabilities.
 
         Raises:
             ValueError: images of another shape than the camera's, or of a size
@@ -120,20 +121,16 @@ class LearnedInference:
         depth = np.asarray(depth, dtype=np.float32)
         mask = np.asarray(target_mask, dtype=bool)
         _check(depth, mask, camera)
-        raw = self.respond(depth, mask, camera)
-        largest = float(raw.max())
-        if largest > SUPPORT_THRESHOLD:
-            raw = raw / largest
         return OccupancyDistribution(
-            data=raw,
+            data=self._respond(depth, mask, camera),
             support_threshold=SUPPORT_THRESHOLD,
             method="learned" if self.output == "occupancy" else self.output,
         )
 
-    def respond(
+    def _respond(
         self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        """Returns the network's own answer, (H, W) float32 in [0, 1]."""
+        """(H, W) float32 in [0, 1]."""
         if self._scale != 1.0:
             depth, mask = rescale_input(depth, mask, self._scale)
         if self.card.input == "geometry":

@@ -10,15 +10,13 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.label_config import LabelConfig
 
 CHANNELS = ("cover", "height", "reading", "modal", "floor")
 """Of :func:`geometry_input`."""
 
 SIZE_FEATURES = ("length", "width", "thickness", "hidden", "visible")
 """Of :func:`size_features`."""
-
-FLOOR = (-0.25, 0.25, -0.20, 0.20)
-"""Inside of the bin floor: x low, x high, y low, y high, m."""
 
 _COVER_WIDTH = 0.002
 """m above and below the target's top, over which "cover" goes from 0 to 1."""
@@ -42,7 +40,7 @@ def heights_above_floor(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     Returns:
         (H, W) float32, m; NaN where there is no reading.
     """
-    u_slope, v_slope, offset = _ray_slopes(camera)[2]
+    u_slope, v_slope, offset = camera.pixel_to_ray[2]
     columns = np.arange(camera.width, dtype=np.float32) * np.float32(u_slope)
     rows = np.arange(camera.height, dtype=np.float32) * np.float32(v_slope)
     drop = columns[None, :] + (rows + np.float32(offset))[:, None]
@@ -105,7 +103,7 @@ def size_features(
         (5,) float32: logarithms of length and width in the image, thickness,
         1 if nothing of it is seen, and about the share that is seen.
     """
-    down = _ray_slopes(camera)[2]
+    down = camera.pixel_to_ray[2]
     K = camera.intrinsics
     center = down[0] * K[0, 2] + down[1] * K[1, 2] + down[2]
     distance = camera.X_WC[2, 3] / max(-center, 1e-6)
@@ -124,16 +122,11 @@ def size_features(
     )
 
 
-def _ray_slopes(camera: PinholeCamera) -> np.ndarray:
-    """Returns 3×3, from (u, v, 1) to world rays of unit z-depth."""
-    return camera.X_WC[:3, :3] @ np.linalg.inv(camera.intrinsics)
-
-
 def _on_floor(camera: PinholeCamera, half: tuple[int, int]) -> np.ndarray:
     """(H/2, W/2) float32: 1 where a ray meets z = 0 within the bin."""
     u = 2 * np.arange(half[1]) + 0.5
     v = 2 * np.arange(half[0]) + 0.5
-    slopes = _ray_slopes(camera)
+    slopes = camera.pixel_to_ray
     x, y, z = (
         a * u[None, :] + b * v[:, None] + c for a, b, c in slopes.tolist()
     )
@@ -141,7 +134,7 @@ def _on_floor(camera: PinholeCamera, half: tuple[int, int]) -> np.ndarray:
     # At z = 0 a ray has gone −C_z/z; times −z, all is linear and positive.
     down = -z
     x, y = C[0] * down + C[2] * x, C[1] * down + C[2] * y
-    x_low, x_high, y_low, y_high = FLOOR
+    x_low, x_high, y_low, y_high = LabelConfig().floor
     return (
         (down > 0)
         & (x >= x_low * down)
