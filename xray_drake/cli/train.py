@@ -34,11 +34,17 @@ def train(
         float | None, typer.Option(help="Instead of the configuration's.")
     ] = None,
     workers: Annotated[
-        int, typer.Option(min=1, help="Processes that prepare.")
+        int, typer.Option(min=1, help="Processes that prepare, or read.")
     ] = os.cpu_count() or 1,
     accelerator: Annotated[
         str, typer.Option(help="auto, cpu or gpu.")
     ] = "auto",
+    incomplete: Annotated[
+        bool,
+        typer.Option(
+            "--incomplete", help="Train on what is there of the datasets."
+        ),
+    ] = False,
     devices: Annotated[int, typer.Option(min=1, help="GPUs.")] = 1,
 ) -> None:
     """Train an occupancy network on datasets; writes weights and a card."""
@@ -60,6 +66,7 @@ def train(
             workers=workers,
             accelerator=accelerator,
             devices=devices,
+            incomplete=incomplete,
             progress=console.is_terminal,
         )
         columns = (*Progress.get_default_columns(), MofNCompleteColumn())

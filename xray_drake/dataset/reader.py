@@ -20,6 +20,11 @@ from xray_drake.splits import SPLITS
 
 Transform = Callable[[LabelledImages, np.random.Generator], LabelledImages]
 
+
+class NoSampleError(DatasetError):
+    """A dataset that holds no sample of what was asked for."""
+
+
 _MAX_OPEN = 64
 """Shards that stay open per process; systems limit files to 1024 or fewer."""
 
@@ -78,7 +83,8 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
 
         Raises:
             DatasetError: the folder is no dataset, a shard is missing or
-                damaged, or nothing is left.
+                damaged.
+            NoSampleError: nothing is left.
             ValueError: an argument is none of those allowed.
         """
         if split is not None and split not in SPLITS:
@@ -141,7 +147,7 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
                     sizes.append(target_size[index])
                     focal.append(intrinsics[index, 0, 0])
         if not keys:
-            raise DatasetError(
+            raise NoSampleError(
                 f"{self.folder} holds no sample of what was asked for"
             )
         self.keys = tuple(keys)

@@ -158,6 +158,7 @@ def target_depth(
     enter = np.where(speed < 0, crossing, -np.inf).max(axis=1)
     leave = np.where(speed > 0, crossing, np.inf).min(axis=1)
     hit = (enter < leave) & (enter > 0)
+    hit &= ((speed != 0) | (distance >= 0)).all(axis=1)
     crop = np.where(hit, enter, 0.0).reshape(u.shape)
     image[low[1] : high[1], low[0] : high[0]] = crop
     return image
@@ -168,6 +169,7 @@ def virtual_sample(
     rng: np.random.Generator,
     *,
     config: LabelConfig | None = None,
+    size: np.ndarray | None = None,
 ) -> Sample | None:
     """Takes the target out of an image and puts another one there.
 
@@ -175,6 +177,8 @@ def virtual_sample(
         sample: of a real heap.
         rng: draws target and place.
         config: of the label.
+        size: (3,) length, width, thickness of a box, m, that is the target;
+            None draws one of any kind and size.
 
     Returns:
         The sample with images, label, pose, size and name of the new target;
@@ -182,12 +186,14 @@ def virtual_sample(
     """
     config = config or LabelConfig()
     camera, scene = sample.camera, sample.depth_without_target
-    points = camera.unproject(scene)
+    points = camera.unproject(np.where(scene > 0, scene, np.nan))
     most = 0.0 if rng.random() < _HIDDEN else _MOST_VISIBLE
     found = None
     for attempt in range(_TARGETS * _PLACES):
         if attempt % _PLACES == 0:
-            target = draw_target(rng)
+            target = (
+                draw_target(rng) if size is None else make_target("box", size)
+            )
         X_WT = _place(target, points, rng, config)
         if X_WT is None:
             continue

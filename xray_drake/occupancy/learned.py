@@ -19,7 +19,7 @@ from xray_drake.occupancy.aspect import (
     rescale_output,
 )
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
-from xray_drake.occupancy.networks.build import build_network
+from xray_drake.occupancy.networks.build import build_network, channels_last
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
 from xray_drake.occupancy.networks.inputs import geometry_input, size_features
 from xray_drake.occupancy.networks.weights import (
@@ -86,12 +86,7 @@ class LearnedInference:
             thickness = self._size[2]
             self._size = np.array([*card.box_size[:2], thickness])
         net = net.fused() if isinstance(net, CompactNet) else net.eval()
-        for parameter in net.parameters():
-            if parameter.ndim == 4:
-                parameter.data = parameter.data.contiguous(
-                    memory_format=torch.channels_last
-                )
-        self._net: nn.Module = net
+        self._net = channels_last(net)
         self._mean = np.array(card.training.get("input_mean", [0.0] * 3))
         self._label_scale = float(card.training.get("label_scale", 1.0))
 
@@ -211,7 +206,7 @@ def _load(path: Path, changed: int) -> tuple[nn.Module, NetworkCard]:
     try:
         net = build_network(card.architecture, card.options)
         net.load_state_dict(state)
-    except (ValueError, RuntimeError) as error:
+    except (IndexError, RuntimeError, ValueError) as error:
         raise WeightsError(
             f"{path} does not fit this version's {card.architecture!r} "
             f"network: {str(error).splitlines()[0]}; train it again with "

@@ -1,5 +1,6 @@
 """What a training run is: read from YAML, every key known."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,29 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+from xray_drake.occupancy.networks.weights import INPUTS
 from xray_drake.resources import models_dir
+from xray_drake.scene.targets import BOX_TARGETS
 from xray_drake.training.prepare import PrepareConfig
+
+_OPTIMIZERS = ("adamw", "sgd")
+_LOSSES = ("robust", "mse")
+
+_FIXED: Mapping[str, Mapping[str, Any]] = {
+    "compact": {
+        "input": "geometry",
+        "loss": "robust",
+        "label_scale": 1.0,
+        "backbone": "",
+    },
+    "fcn_resnet50": {
+        "input": "augmented_depth",
+        "loss": "mse",
+        "virtual": False,
+        "posterior_weight": 0.0,
+    },
+}
+"""Each architecture, and what it leaves no choice of."""
 
 
 class TrainingError(ValueError):
@@ -28,7 +50,8 @@ class TrainConfig:
     # "geometry" (heights, the target's size; prepared once), or
     # "augmented_depth", the paper's (section IV.A).
     input: str = "geometry"
-    # Samples of these targets alone; all if empty.
+    # Samples of these targets alone; all if empty. A network of a single box
+    # is later used for other targets by scaling the image.
     targets: list[str] = field(default_factory=list)
     # Items of virtual targets, too ("geometry" only).
     virtual: bool = True
@@ -39,6 +62,8 @@ class TrainConfig:
     passes: float = 3.0
     items_per_epoch: int = 6000
     batch_size: int = 16
+    # Mirror batches at random, left and right, up and down.
+    flips: bool = True
     # "adamw" with a cosine schedule, or "sgd" at a constant rate.
     optimizer: str = "adamw"
     learning_rate: float = 2e-3
@@ -49,12 +74,27 @@ class TrainConfig:
     # "robust": smooth L1 and cross entropy, see ``training.losses``; or "mse",
     # the paper's, the mean over all pixels.
     loss: str = "robust"
+    # What the label's 1 is to the "mse" (the paper's authors' labels are bytes,
+    # so 255); a learning rate means nothing without it.
+    label_scale: float = 1.0
+    # The input's mean is that of so many training images, of all if there are
+    # fewer ("augmented_depth" only).
+    input_mean_images: int = 1000
+    # Weights that the ResNet-50 begins with: safetensors, with torchvision's
+    # names. Drawn at random if empty.
+    backbone: str = ""
     # Weight of the second answer's loss, the posterior; 0 does without.
     posterior_weight: float = 1.0
     # Lightning's name: "32-true", "bf16-mixed", ...
     precision: str = "bf16-mixed"
     seed: int = 0
     prepare: PrepareConfig = field(default_factory=PrepareConfig)
+
+
+def single_box(config: TrainConfig) -> str:
+    """Names the one box that a network is to know; "" if it is not one box."""
+    names = set(config.targets)
+    return names.pop() if len(names) == 1 and names < set(BOX_TARGETS) else ""
 
 
 def load_config(name: str) -> TrainConfig:
@@ -89,31 +129,64 @@ def load_config(name: str) -> TrainConfig:
 
 
 def _check(config: TrainConfig, path: Path) -> None:
-    choices = {
-        "architecture": ("compact", "fcn_resnet50"),
-        "input": ("geometry", "augmented_depth"),
-        "optimizer": ("adamw", "sgd"),
-        "loss": ("robust", "mse"),
-    }
-    for key, allowed in choices.items():
+    """Raises TrainingError for what no run can be made of."""
+    for key, allowed in (
+        ("architecture", tuple(_FIXED)),
+        ("input", INPUTS),
+        ("optimizer", _OPTIMIZERS),
+        ("loss", _LOSSES),
+    ):
         value = getattr(config, key)
         if value not in allowed:
             raise TrainingError(
                 f"{path}: {key} is {value!r}, not one of {', '.join(allowed)}"
             )
-    wanted = {"compact": "geometry", "fcn_resnet50": "augmented_depth"}
-    if config.input != wanted[config.architecture]:
-        raise TrainingError(
-            f"{path}: {config.architecture} takes the input "
-            f"{wanted[config.architecture]}, not {config.input}"
-        )
-    for key in ("passes", "items_per_epoch", "batch_size", "learning_rate"):
-        if getattr(config, key) <= 0:
+    for key in (
+        "passes",
+        "items_per_epoch",
+        "batch_size",
+        "learning_rate",
+        "label_scale",
+        "input_mean_images",
+    ):
+        if not getattr(config, key) > 0:
             raise TrainingError(
                 f"{path}: {key} is {getattr(config, key)}, not above 0"
             )
+    for key, wanted in _FIXED[config.architecture].items():
+        value = getattr(config, key)
+        if value != wanted:
+            raise TrainingError(
+                f"{path}: {config.architecture} takes the {key} "
+                f"{_text(wanted)}, not {_text(value)}"
+            )
+    if config.items_per_epoch < config.batch_size:
+        raise TrainingError(
+            f"{path}: items_per_epoch is {config.items_per_epoch}, less than "
+            f"the batch_size, {config.batch_size}"
+        )
     if not 0 < config.validation_share < 1:
         raise TrainingError(
             f"{path}: validation_share is {config.validation_share}, not "
             "between 0 and 1"
         )
+    _check_virtual(config, path)
+
+
+def _check_virtual(config: TrainConfig, path: Path) -> None:
+    size = config.prepare.virtual_size
+    if size and not (len(size) == 3 and all(side > 0 for side in size)):
+        raise TrainingError(
+            f"{path}: prepare.virtual_size is {size}, not a box's length, "
+            "width and thickness in m"
+        )
+    single = single_box(config)
+    if single and config.virtual and config.prepare.virtual and not size:
+        raise TrainingError(
+            f"{path}: a network of {single} alone takes no virtual targets of "
+            "other sizes: give prepare.virtual_size, or virtual: false"
+        )
+
+
+def _text(value: object) -> str:
+    return value if value and isinstance(value, str) else repr(value)

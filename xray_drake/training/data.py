@@ -1,7 +1,8 @@
-"""Batches of prepared items."""
+"""What a network is trained on: items, batches, parts of passes."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import lightning
 import numpy as np
@@ -17,7 +18,11 @@ Batch = tuple[Tensor, Tensor, Tensor]
 
 
 class PreparedItems(Dataset[tuple[Tensor, Tensor, Tensor]]):
-    """Chosen items of prepared shards."""
+    """Chosen items of prepared shards.
+
+    Attributes:
+        num_real: those of them that are not of a virtual target.
+    """
 
     def __init__(
         self,
@@ -36,11 +41,13 @@ class PreparedItems(Dataset[tuple[Tensor, Tensor, Tensor]]):
             virtual: with virtual targets.
         """
         self._shards = list(shards)
+        self.num_real = 0
         places = []
         for number, shard in enumerate(shards):
             wanted = shard.held_out == held_out
             named = np.isin(shard.targets, targets) | (not targets)
             wanted &= np.where(shard.real, named, virtual)
+            self.num_real += int(np.count_nonzero(wanted & shard.real))
             rows = np.flatnonzero(wanted)
             places.append(np.stack([np.full_like(rows, number), rows], axis=1))
         self._places = np.concatenate(places)
@@ -89,8 +96,90 @@ class PassSampler(Sampler[int]):
             yield from order[max(low, 0) : high].tolist()
 
 
-class PreparedData(lightning.LightningDataModule):
-    """Training and validation batches of prepared files."""
+class TrainingData(lightning.LightningDataModule):
+    """Training and validation batches of items."""
+
+    def __init__(
+        self,
+        train_items: Dataset[Any],
+        validation_items: Dataset[Any],
+        config: TrainConfig,
+        *,
+        num_images: int,
+        workers: int,
+    ) -> None:
+        """Keeps what it is given.
+
+        Args:
+            train_items: to train on; has a length.
+            validation_items: of heaps that are held out; has a length.
+            config: of the run.
+            num_images: labelled images of heaps among both.
+            workers: processes that read; 0 reads in this one.
+
+        Raises:
+            TrainingError: nothing to train on, or to validate on.
+        """
+        super().__init__()
+        self._config = config
+        self._workers = workers
+        self.train_items = train_items
+        self.validation_items = validation_items
+        self.num_images = num_images
+        self.num_train = length(train_items)
+        self.num_validation = length(validation_items)
+        for name, count in (
+            ("to train on", self.num_train),
+            ("held out for validation", self.num_validation),
+        ):
+            if not count:
+                raise TrainingError(
+                    f"no sample is {name}: give a larger dataset, or other "
+                    "targets"
+                )
+
+    @property
+    def epochs(self) -> int:
+        """The trainer's epochs: parts of passes."""
+        total = self._config.passes * self.num_train
+        return max(1, round(total / self._config.items_per_epoch))
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Optimizer steps, on one device."""
+        return self._config.items_per_epoch // self._config.batch_size
+
+    def train_dataloader(self) -> DataLoader:
+        """Returns shuffled batches."""
+        config = self._config
+        sampler = PassSampler(
+            self.num_train, config.items_per_epoch, config.seed
+        )
+        return self._loader(self.train_items, sampler, drop_last=True)
+
+    def val_dataloader(self) -> DataLoader:
+        """Returns all items that are held out."""
+        return self._loader(self.validation_items, None, drop_last=False)
+
+    def _loader(
+        self,
+        items: Dataset[Any],
+        sampler: PassSampler | None,
+        *,
+        drop_last: bool,
+    ) -> DataLoader:
+        return DataLoader(
+            items,
+            batch_size=self._config.batch_size,
+            sampler=sampler,
+            drop_last=drop_last,
+            num_workers=self._workers,
+            persistent_workers=self._workers > 0,
+        )
+
+
+class PreparedData(TrainingData):
+    """Batches of prepared files; see :data:`Batch`."""
 
     def __init__(
         self, files: Sequence[Path], config: TrainConfig, *, workers: int = 1
@@ -105,11 +194,8 @@ class PreparedData(lightning.LightningDataModule):
         Raises:
             TrainingError: nothing to train on, or to validate on.
         """
-        super().__init__()
         shards = [open_prepared(file) for file in files]
-        self._config = config
-        self._workers = workers
-        self.train_items, self.validation_items = (
+        train, validation = (
             PreparedItems(
                 shards,
                 held_out=held_out,
@@ -118,51 +204,15 @@ class PreparedData(lightning.LightningDataModule):
             )
             for held_out in (False, True)
         )
-        for name, items in (
-            ("to train on", self.train_items),
-            ("held out for validation", self.validation_items),
-        ):
-            if not len(items):
-                raise TrainingError(
-                    f"no sample is {name}: give a larger dataset, or other "
-                    "targets"
-                )
-
-    @property
-    def epochs(self) -> int:
-        """The trainer's epochs: parts of passes."""
-        total = self._config.passes * len(self.train_items)
-        return max(1, round(total / self._config.items_per_epoch))
-
-    @property
-    def steps_per_epoch(self) -> int:
-        """Optimizer steps."""
-        return self._config.items_per_epoch // self._config.batch_size
-
-    def train_dataloader(self) -> DataLoader:
-        """Returns shuffled batches."""
-        config = self._config
-        sampler = PassSampler(
-            len(self.train_items), config.items_per_epoch, config.seed
+        super().__init__(
+            train,
+            validation,
+            config,
+            num_images=train.num_real + validation.num_real,
+            workers=workers,
         )
-        return self._loader(self.train_items, sampler, drop_last=True)
 
-    def val_dataloader(self) -> DataLoader:
-        """Returns all items that are held out."""
-        return self._loader(self.validation_items, None, drop_last=False)
 
-    def _loader(
-        self,
-        items: PreparedItems,
-        sampler: PassSampler | None,
-        *,
-        drop_last: bool,
-    ) -> DataLoader:
-        return DataLoader(
-            items,
-            batch_size=self._config.batch_size,
-            sampler=sampler,
-            drop_last=drop_last,
-            num_workers=self._workers,
-            persistent_workers=self._workers > 0,
-        )
+def length(items: Dataset[Any]) -> int:
+    """Returns how many items there are; a ``Dataset`` need not say."""
+    return len(items)  # type: ignore[arg-type]

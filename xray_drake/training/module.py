@@ -1,12 +1,14 @@
 """The training loop's contents, for Lightning."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import lightning
 import torch
 from torch import Tensor, nn
 
+from xray_drake.occupancy.networks.build import channels_last
 from xray_drake.occupancy.networks.inputs import CHANNELS
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import Batch
@@ -18,12 +20,17 @@ from xray_drake.training.losses import (
 )
 
 
-class CompactTraining(lightning.LightningModule):
-    """Trains a network of geometry and size; logs PROTOCOL.md's metrics.
+class OccupancyTraining(lightning.LightningModule):
+    """What the training of every network has in common.
 
-    They are of half the camera's resolution here; ``xray-drake evaluate`` has
-    them in full.
+    Attributes:
+        net: that is trained.
+        resolution: of the images that the logged metrics are of, in words.
+        unused: keys of the configuration that decide nothing here.
     """
+
+    resolution = ""
+    unused: tuple[str, ...] = ()
 
     def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
         """Keeps what it is given.
@@ -34,44 +41,33 @@ class CompactTraining(lightning.LightningModule):
             steps: of the optimizer, in all.
         """
         super().__init__()
-        self.net = net
+        self.net = channels_last(net)
         self._config = config
         self._steps = steps
-        self._counts = torch.zeros(5, dtype=torch.float64)
-        self._mass: list[Tensor] = []
 
-    def training_step(self, batch: Batch, index: int) -> Tensor:
-        """Returns the loss of one batch, mirrored at random."""
-        images, sizes, real = batch
+    def facts(self) -> dict[str, Any]:
+        """Returns what a card says of the training."""
+        return {
+            key: value
+            for key, value in asdict(self._config).items()
+            if key not in self.unused
+        }
+
+    def flipped_axes(self) -> list[int]:
+        """Draws the axes of (B, C, h, w) along which a step's batch is flipped.
+
+        The seed and the step decide, so a resumed run draws the same.
+        """
+        if not self._config.flips:
+            return []
         generator = torch.Generator().manual_seed(
             self._config.seed * 1_000_003 + self.global_step
         )
         flips = torch.rand(2, generator=generator) < 0.5
-        axes = [axis for axis, flip in zip((2, 3), flips, strict=True) if flip]
-        return self._loss("train", (images.flip(axes), sizes, real))[0]
-
-    def validation_step(self, batch: Batch, index: int) -> None:
-        """Counts pixels."""
-        _, output = self._loss("validation", batch)
-        images, _, real = batch
-        label, amodal = images[:, -2].float() / 255, images[:, -1].float() / 255
-        occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
-        self._counts += pixel_counts(occupancy, label).cpu()
-        share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
-        self._mass.append(share[real].cpu())
-
-    def on_validation_epoch_end(self) -> None:
-        """Logs what was counted."""
-        for name, value in summary(self._counts).items():
-            self.log(f"validation/{name}", value, prog_bar=True)
-        mass = torch.cat(self._mass)
-        if len(mass):
-            self.log("validation/mass_on_target", mass.mean())
-        self._counts.zero_()
-        self._mass.clear()
+        return [axis for axis, flip in zip((2, 3), flips, strict=True) if flip]
 
     def configure_optimizers(self) -> Any:
-        """Returns AdamW or SGD, and the schedule."""
+        """Returns AdamW and its schedule, or SGD."""
         config = self._config
         if config.optimizer == "sgd":
             return torch.optim.SGD(
@@ -98,6 +94,55 @@ class CompactTraining(lightning.LightningModule):
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
+
+
+class CompactTraining(OccupancyTraining):
+    """Trains a network of geometry and size; logs PROTOCOL.md's metrics.
+
+    They are of half the camera's resolution here; ``xray-drake evaluate`` has
+    them in full.
+    """
+
+    resolution = "half resolution"
+    unused = ("label_scale", "input_mean_images", "backbone")
+
+    def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
+        """Keeps what it is given.
+
+        Args:
+            net: to be trained.
+            config: of the run.
+            steps: of the optimizer, in all.
+        """
+        super().__init__(net, config, steps)
+        self._counts = torch.zeros(5, dtype=torch.float64)
+        self._mass: list[Tensor] = []
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        """Returns the loss of one batch, mirrored at random."""
+        images, sizes, real = batch
+        images = images.flip(self.flipped_axes())
+        return self._loss("train", (images, sizes, real))[0]
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        """Counts pixels."""
+        _, output = self._loss("validation", batch)
+        images, _, real = batch
+        label, amodal = images[:, -2].float() / 255, images[:, -1].float() / 255
+        occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
+        self._counts += pixel_counts(occupancy, label).cpu()
+        share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
+        self._mass.append(share[real].cpu())
+
+    def on_validation_epoch_end(self) -> None:
+        """Logs what was counted."""
+        for name, value in summary(self._counts).items():
+            self.log(f"validation/{name}", value, prog_bar=True)
+        mass = torch.cat(self._mass)
+        if len(mass):
+            self.log("validation/mass_on_target", mass.mean())
+        self._counts.zero_()
+        self._mass.clear()
 
     def _loss(self, stage: str, batch: Batch) -> tuple[Tensor, Tensor]:
         images, sizes, real = batch

@@ -48,6 +48,9 @@ class PrepareConfig:
 
     # Virtual targets placed into each image.
     virtual: int = 2
+    # Virtual targets are boxes of this length, width and thickness, m; of any
+    # kind and size if empty.
+    virtual_size: list[float] = field(default_factory=list)
     # Share of items with the noise of a depth sensor.
     noisy: float = 0.5
     # Share of items whose camera is not quite where inference is told.
@@ -89,8 +92,10 @@ def plan(
     folder: Path,
     config: PrepareConfig,
     validation_share: float,
+    *,
+    incomplete: bool = False,
 ) -> list[tuple[Path, Path]]:
-    """Lists the shards that are there, and the file of each one's items.
+    """Lists all shards of datasets, and the file of each one's items.
 
     Args:
         datasets: folders.
@@ -98,8 +103,10 @@ def plan(
         config: how they are made.
         validation_share: share of the heaps whose items are held out.
 
+        incomplete: leave out shards that are missing.
+
     Raises:
-        DatasetError: a dataset that cannot be read, or no shard at all.
+        DatasetError: a dataset that cannot be read, or lacks a shard.
     """
     shards = [
         dataset / expected.name
@@ -111,6 +118,12 @@ def plan(
         for shard in shards
         if shard.is_file()
     ]
+    if len(jobs) < len(shards) and not incomplete:
+        absent = next(shard for shard in shards if not shard.is_file())
+        raise DatasetError(
+            f"{absent} is missing: resume 'xray-drake generate', or train with "
+            "--incomplete on what is there"
+        )
     if not jobs:
         names = ", ".join(map(str, datasets))
         raise DatasetError(f"no shard in {names}: run 'xray-drake generate'")
@@ -161,8 +174,12 @@ def prepare(
 
 def _item_name(shard: Path, config: PrepareConfig, share: float) -> str:
     """Names the file of a shard's items by all that decides what is in it."""
+    how = asdict(config)
+    if not config.virtual_size:
+        # As items were named before there was this key.
+        del how["virtual_size"]
     what = json.dumps(
-        [str(shard.resolve()), asdict(config), share, _VERSION], sort_keys=True
+        [str(shard.resolve()), how, share, _VERSION], sort_keys=True
     )
     digest = hashlib.blake2b(what.encode(), digest_size=6).hexdigest()
     return f"{shard.stem}-{digest}.npy"
@@ -173,12 +190,16 @@ def prepare_shard(
 ) -> None:
     """Makes the items of one shard: ``path``, and beside it its vectors."""
     cv2.setNumThreads(1)
+    box = np.array(config.virtual_size) if config.virtual_size else None
     images, sizes, real, held_out, targets = [], [], [], [], []
     with ShardReader(shard) as reader:
         for index, key in enumerate(reader.keys):
             rng = stream(config.seed, f"prepare {key}")
             sample = reader.sample(index)
-            made = [virtual_sample(sample, rng) for _ in range(config.virtual)]
+            made = [
+                virtual_sample(sample, rng, size=box)
+                for _ in range(config.virtual)
+            ]
             for each in (sample, *made):
                 if each is None:
                     continue

@@ -1,27 +1,29 @@
 """A training run from datasets to a file of weights."""
 
-import platform
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from datetime import date
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import lightning
-import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from lightning.pytorch.loggers import CSVLogger
 from torch import nn
 
-from xray_drake.dataset.manifest import read_manifest
 from xray_drake.files import write_whole_file
 from xray_drake.occupancy.networks.build import build_network
 from xray_drake.occupancy.networks.weights import NetworkCard, save_weights
+from xray_drake.training.backbone import load_backbone
+from xray_drake.training.box import box_size
+from xray_drake.training.card import make_card
 from xray_drake.training.config import TrainConfig, TrainingError
-from xray_drake.training.data import PreparedData
-from xray_drake.training.module import CompactTraining
+from xray_drake.training.data import PreparedData, TrainingData
+from xray_drake.training.module import CompactTraining, OccupancyTraining
+from xray_drake.training.paper import PaperData, PaperTraining
 from xray_drake.training.prepare import plan, prepare
+
+Progress = Callable[[int, int], None]
+"""Is told of prepared shards, done and of all."""
 
 CHECKPOINT = "last.ckpt"
 WEIGHTS = "weights.safetensors"
@@ -36,9 +38,11 @@ class RunOptions:
         out: folder of the run.
         resume: go on from the checkpoint in it.
         cache: folder of prepared items; by default in ``out``.
-        workers: processes that prepare.
+        workers: processes that prepare; or that read, where nothing is
+            prepared.
         accelerator: Lightning's name: auto, cpu, gpu.
         devices: how many.
+        incomplete: train on what is there of datasets that lack shards.
         progress: draw a bar.
     """
 
@@ -48,6 +52,7 @@ class RunOptions:
     workers: int = 1
     accelerator: str = "auto"
     devices: int = 1
+    incomplete: bool = False
     progress: bool = True
 
 
@@ -56,7 +61,7 @@ def train(
     config: TrainConfig,
     options: RunOptions,
     *,
-    prepared: Callable[[int, int], None] = lambda done, total: None,
+    prepared: Progress = lambda done, total: None,
 ) -> NetworkCard:
     """Trains a network and writes its weights and card.
 
@@ -65,26 +70,23 @@ def train(
             in them are used, so give those of training objects.
         config: what to train.
         options: where.
-        prepared: told of prepared shards, done and of all.
+        prepared: told of what is prepared ("compact" only).
 
     Returns:
         The card that was written with the weights.
 
     Raises:
-        DatasetError, TrainingError: what was given cannot be trained on.
+        DatasetError, TrainingError, WeightsError: what was given cannot be
+            trained on, or the backbone is none.
         OSError: something cannot be written.
     """
     _open_run(options)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
-    cache = options.cache or options.out / "cache"
-    share = config.validation_share
-    jobs = plan(datasets, cache, config.prepare, share)
-    for done in prepare(jobs, config.prepare, share, workers=options.workers):
-        prepared(done, len(jobs))
-    data = PreparedData([path for _, path in jobs], config)
+    size = box_size(datasets, config)
     net = build_network(config.architecture, config.options)
-    steps = data.epochs * data.steps_per_epoch
-    module = CompactTraining(net, config, steps)
+    make = _MAKERS[config.architecture]
+    module, data = make(net, datasets, config, options, prepared)
+    steps = _steps(data, options)
     trainer = _trainer(config, options, data.epochs)
     path = options.out / CHECKPOINT
     with warnings.catch_warnings():
@@ -101,9 +103,65 @@ def train(
             f"stopped after {trainer.global_step} of {steps} steps; go on "
             "with --resume"
         )
-    card = _card(datasets, config, data, trainer)
+    card = make_card(datasets, config, data, module, trainer, box_size=size)
     _export(options.out, net, card)
     return card
+
+
+def _make_compact(
+    net: nn.Module,
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    options: RunOptions,
+    prepared: Progress,
+) -> tuple[OccupancyTraining, TrainingData]:
+    """Prepares the items of the datasets, and trains on those."""
+    cache = options.cache or options.out / "cache"
+    share = config.validation_share
+    jobs = plan(
+        datasets,
+        cache,
+        config.prepare,
+        share,
+        incomplete=options.incomplete,
+    )
+    for done in prepare(jobs, config.prepare, share, workers=options.workers):
+        prepared(done, len(jobs))
+    data = PreparedData([path for _, path in jobs], config)
+    return CompactTraining(net, config, _steps(data, options)), data
+
+
+def _make_paper(
+    net: nn.Module,
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    options: RunOptions,
+    prepared: Progress,
+) -> tuple[OccupancyTraining, TrainingData]:
+    """Trains on the datasets as they are."""
+    # What is resumed has its weights in the checkpoint.
+    if config.backbone and not options.resume:
+        load_backbone(net, Path(config.backbone))
+    data = PaperData(
+        datasets,
+        config,
+        workers=options.workers,
+        incomplete=options.incomplete,
+    )
+    steps = _steps(data, options)
+    return PaperTraining(net, config, steps, data.input_mean()), data
+
+
+_MAKERS: Mapping[str, Callable[..., tuple[OccupancyTraining, TrainingData]]] = {
+    "compact": _make_compact,
+    "fcn_resnet50": _make_paper,
+}
+"""By architecture: what trains the network, and the data."""
+
+
+def _steps(data: TrainingData, options: RunOptions) -> int:
+    """Returns the optimizer's; devices share the items of an epoch."""
+    return data.epochs * (data.steps_per_epoch // options.devices)
 
 
 def _open_run(options: RunOptions) -> None:
@@ -148,57 +206,6 @@ def _trainer(
         log_every_n_steps=50,
         num_sanity_val_steps=0,
     )
-
-
-def _card(
-    datasets: Sequence[Path],
-    config: TrainConfig,
-    data: PreparedData,
-    trainer: lightning.Trainer,
-) -> NetworkCard:
-    manifests = [read_manifest(dataset) for dataset in datasets]
-    targets = sorted({name for m in manifests for name in m.targets})
-    if config.targets:
-        targets = [name for name in targets if name in config.targets]
-    metrics = {
-        name: round(float(value), 4)
-        for name, value in trainer.callback_metrics.items()
-        if name.startswith("validation/")
-    }
-    return NetworkCard(
-        architecture=config.architecture,
-        options=config.options,
-        input=config.input,
-        targets=tuple(targets),
-        box_size=None,
-        data={
-            "datasets": [
-                {
-                    "scenario": manifest.scenario,
-                    "seed": manifest.seed,
-                    "images": manifest.num_samples,
-                    "views per heap": manifest.views_per_heap,
-                    "drake": manifest.drake_version,
-                }
-                for dataset, manifest in zip(datasets, manifests, strict=True)
-            ],
-            "items to train on": len(data.train_items),
-            "items held out": len(data.validation_items),
-        },
-        training={
-            **_plain(config),
-            "optimizer steps": trainer.global_step,
-            "date": date.today().isoformat(),
-            "machine": platform.machine(),
-            "threads": torch.get_num_threads(),
-            "torch": torch.__version__,
-        },
-        figures={"held-out heaps, half resolution": metrics},
-    )
-
-
-def _plain(config: TrainConfig) -> dict[str, Any]:
-    return asdict(config)
 
 
 def _export(out: Path, net: nn.Module, card: NetworkCard) -> None:

@@ -29,8 +29,8 @@ class CompactNet(nn.Module):
         self,
         in_channels: int = 5,
         size_features: int = 5,
-        widths: Sequence[int] = (16, 48, 96, 160),
-        depths: Sequence[int] = (1, 1, 2, 2),
+        widths: Sequence[int] = (16, 32, 64, 128),
+        depths: Sequence[int] = (1, 1, 2, 3),
     ) -> None:
         """Makes the layers.
 
@@ -83,13 +83,13 @@ class CompactNet(nn.Module):
         code = self.size_code(size)  # (B, 64)
         x = nn.functional.pixel_unshuffle(image, 2)  # (B, 4·in, h/2, w/2)
         x1 = self.down1((self.stem(x), code))[0]  # (B, 16, h/2, w/2)
-        x2 = self.down2((self.shrink2(x1), code))[0]  # (B, 48, h/4, w/4)
-        x3 = self.down3((self.shrink3(x2), code))[0]  # (B, 96, h/8, w/8)
-        x4 = self.down4((self.shrink4(x3), code))[0]  # (B, 160, h/16, w/16)
-        overall = self.overall(x4.mean(dim=(2, 3)))  # (B, 160)
+        x2 = self.down2((self.shrink2(x1), code))[0]  # (B, 32, h/4, w/4)
+        x3 = self.down3((self.shrink3(x2), code))[0]  # (B, 64, h/8, w/8)
+        x4 = self.down4((self.shrink4(x3), code))[0]  # (B, 128, h/16, w/16)
+        overall = self.overall(x4.mean(dim=(2, 3)))  # (B, 128)
         x4 = x4 + overall[:, :, None, None]
-        x = x3 + _grown(self.grow3(x4))  # (B, 96, h/8, w/8)
-        x = x2 + _grown(self.grow2(self.up3((x, code))[0]))  # (B, 48, h/4, …)
+        x = x3 + _grown(self.grow3(x4))  # (B, 64, h/8, w/8)
+        x = x2 + _grown(self.grow2(self.up3((x, code))[0]))  # (B, 32, h/4, …)
         x = x1 + _grown(self.grow1(self.up2((x, code))[0]))  # (B, 16, h/2, …)
         x = self.head(self.up1((x, code))[0])  # (B, 8, h/2, w/2)
         return nn.functional.pixel_shuffle(x, 2)  # (B, 2, h, w)

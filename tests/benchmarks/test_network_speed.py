@@ -1,0 +1,54 @@
+"""Time of learned inference, 512×384, on two threads; the paper: 6 ms a GPU.
+
+    pytest tests/benchmarks/test_network_speed.py \
+        -o addopts="--import-mode=importlib" --benchmark-only
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from tests.occupancy.brute_force import render
+from tests.occupancy.scenes import CAMERAS, occluders
+from xray_drake.occupancy.learned import default_weights, load_inference
+from xray_drake.occupancy.networks.build import build_network
+from xray_drake.occupancy.networks.weights import read_card
+
+SIZE = np.array([0.0424, 0.0212, 0.005])
+
+
+@pytest.fixture(autouse=True)
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("output", ["occupancy", "posterior"])
+def test_inference_of_an_image(
+    benchmark: BenchmarkFixture, output: str
+) -> None:
+    camera = CAMERAS["nominal"]
+    rng = np.random.default_rng(0)
+    depth, _ = render(camera, occluders(rng))
+    inference = load_inference(
+        default_weights(),
+        target_size=SIZE,
+        output=output,  # type: ignore[arg-type]
+    )
+    blank = np.zeros(camera.shape, bool)
+    answer = benchmark(inference.infer, depth, blank, camera)
+    assert answer.data.shape == camera.shape
+
+
+def test_forward_pass_alone(benchmark: BenchmarkFixture) -> None:
+    card = read_card(default_weights())
+    net = build_network(card.architecture, card.options).fused()  # type: ignore[operator]
+    image, size = torch.rand(1, 5, 192, 256), torch.rand(1, 5)
+    with torch.inference_mode():
+        answer = benchmark(net, image, size)
+    assert answer.shape == (1, 2, 192, 256)

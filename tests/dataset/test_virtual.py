@@ -1,0 +1,424 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.occupancy.brute_force import Caster
+from tests.occupancy.scenes import make_camera
+from xray_drake.dataset.sample import IMAGES, Sample, problems
+from xray_drake.dataset.virtual import (
+    VirtualTarget,
+    draw_target,
+    is_virtual,
+    make_target,
+    target_depth,
+    virtual_sample,
+)
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.label import occupancy_label
+from xray_drake.occupancy.label_config import LabelConfig
+
+_MakeSample = Callable[..., Sample]
+
+_KINDS = ("box", "disc", "rod")
+_SIZE = np.array([0.09, 0.04, 0.015])
+_SHAPE = (96, 128)
+
+
+def _camera(**change: float) -> PinholeCamera:
+    settings = {"focal_length": 138.0, "center": (63.5, 47.5), **change}
+    return make_camera(size=(128, 96), **settings)  # type: ignore[arg-type]
+
+
+_CAMERAS = {
+    "nominal": _camera(),
+    "tilted": _camera(tilt=10, azimuth=57),
+    "low": _camera(radius=0.7, tilt=6, azimuth=230, roll=-6, focal_length=140),
+    "aside": _camera(tilt=60, azimuth=300, roll=20),
+    "close": _camera(radius=0.1, tilt=30),
+}
+
+
+def _mesh(kind: str, size: np.ndarray) -> trimesh.Trimesh:
+    if kind == "box":
+        return trimesh.creation.box(size)
+    mesh = trimesh.creation.cylinder(radius=0.5, height=1.0, sections=24)
+    if kind == "rod":
+        turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0])
+        mesh.apply_transform(turn)
+    return mesh.apply_scale(size)
+
+
+def _pose(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, seed: int | None = None
+) -> np.ndarray:
+    X_WT = np.eye(4)
+    if seed is not None:
+        X_WT = trimesh.transformations.random_rotation_matrix(
+            np.random.default_rng(seed).random(3)
+        )
+    X_WT[:3, 3] = x, y, z
+    return X_WT
+
+
+def _cast(
+    kind: str, size: np.ndarray, X_WT: np.ndarray, camera: PinholeCamera
+) -> np.ndarray:
+    mesh = _mesh(kind, size).apply_transform(X_WT)
+    rays = camera.rays().reshape(-1, 3)
+    origins = np.tile(camera.X_WC[:3, 3], (len(rays), 1))
+    depth = Caster(mesh).depth(origins, rays).reshape(camera.shape)
+    return np.where(np.isfinite(depth), depth, 0.0)
+
+
+def _assert_same(rendered: np.ndarray, expected: np.ndarray) -> None:
+    """Up to a ray that just touches an edge; rays are cast in float32."""
+    assert rendered.dtype == np.float32
+    assert np.count_nonzero((rendered > 0) != (expected > 0)) <= 1
+    both = (rendered > 0) & (expected > 0)
+    np.testing.assert_allclose(
+        rendered[both], expected[both], rtol=0, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.parametrize("camera", _CAMERAS.values(), ids=_CAMERAS)
+@pytest.mark.parametrize("seed", [None, 1, 2])
+def test_a_target_is_rendered_as_rays_meet_it(
+    kind: str, camera: PinholeCamera, seed: int | None
+) -> None:
+    X_WT = _pose(0.011, -0.007, _SIZE[2] / 2, seed)
+    rendered = target_depth(make_target(kind, _SIZE), X_WT, camera)
+    expected = _cast(kind, _SIZE, X_WT, camera)
+    assert np.count_nonzero(expected) > 25
+    _assert_same(rendered, expected)
+
+
+@pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.parametrize("x", [-0.37, 0.355, 0.37])
+@pytest.mark.parametrize("y", [0.0, 0.265, -0.27])
+def test_what_reaches_out_of_the_image_is_cut_off(
+    kind: str, x: float, y: float
+) -> None:
+    camera = _CAMERAS["nominal"]
+    X_WT = _pose(x, y, 0.01, seed=3)
+    expected = _cast(kind, _SIZE, X_WT, camera)
+    edges = expected[[0, -1]].any() or expected[:, [0, -1]].any()
+    assert edges
+    rendered = target_depth(make_target(kind, _SIZE), X_WT, camera)
+    _assert_same(rendered, expected)
+
+
+@pytest.mark.parametrize("p_WT", [(0.9, 0, 0), (0, -2, 0), (0, 0, 0.9)])
+def test_what_is_beside_or_behind_the_camera_is_not_seen(
+    p_WT: tuple[float, float, float],
+) -> None:
+    for kind in _KINDS:
+        target = make_target(kind, _SIZE)
+        depth = target_depth(target, _pose(*p_WT), _CAMERAS["nominal"])
+        assert depth.shape == _SHAPE
+        assert not depth.any()
+
+
+@pytest.mark.parametrize("shift", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_rays_along_a_face_that_miss_it_miss_the_target(
+    shift: float, axis: int
+) -> None:
+    """The ray through the principal point is parallel to four faces."""
+    camera = _camera(center=(64, 48))
+    place = np.zeros(2)
+    # The nearest face is so many pixels beside that ray.
+    place[axis] = _SIZE[axis] / 2 + shift * 0.79 / 138
+    X_WT = _pose(*place, 0.005)
+    depth = target_depth(make_target("box", _SIZE), X_WT, camera)
+    assert depth[48, 64] == 0
+    _assert_same(depth, _cast("box", _SIZE, X_WT, camera))
+
+
+def _inside_planes(target: VirtualTarget, points: np.ndarray) -> np.ndarray:
+    ones = np.ones((len(points), 1))
+    return np.hstack([points, ones]) @ target.planes.T
+
+
+@given(seed=st.integers(0, 2**32))
+@settings(deadline=None, max_examples=150)
+def test_targets_keep_their_bounds(seed: int) -> None:
+    target = draw_target(np.random.default_rng(seed))
+    assert is_virtual(target.name)
+    kind = target.name.split("_")[1]
+    length, width, thickness = target.size
+    np.testing.assert_allclose(
+        np.ptp(target.vertices, axis=0), target.size, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        target.vertices.min(axis=0), -target.size / 2, atol=1e-12
+    )
+    assert 0.018 - 1e-9 <= length <= 0.14
+    assert 0.007 <= width <= length + 1e-9
+    assert 1 - 1e-9 <= length / width <= 10 + 1e-9
+    assert np.sqrt(length * width) < 2.4 * 0.03 + 1e-9
+    assert 0.003 <= thickness <= width
+    if kind == "rod":
+        assert thickness == width <= 0.03
+    else:
+        assert kind in ("box", "disc")
+        assert thickness <= 0.018
+    # The planes touch the body and hold it.
+    sides = _inside_planes(target, target.vertices)
+    assert sides.max() < 1e-8
+    assert (sides.max(axis=0) > -1e-8).all()
+    hull = _mesh(kind, target.size)
+    np.testing.assert_allclose(
+        trimesh.convex.convex_hull(target.vertices).volume, hull.volume
+    )
+
+
+def test_targets_are_of_every_kind_and_size() -> None:
+    rng = np.random.default_rng(0)
+    targets = [draw_target(rng) for _ in range(600)]
+    kinds = [target.name.split("_")[1] for target in targets]
+    shares = [kinds.count(kind) / len(kinds) for kind in _KINDS]
+    assert shares == pytest.approx([0.6, 0.25, 0.15], abs=0.06)
+    sizes = np.array([target.size for target in targets])
+    ratios = sizes[:, 0] / sizes[:, 1]
+    assert ratios.min() < 1.3
+    assert ratios.max() > 8
+    scales = np.sqrt(sizes[:, 0] * sizes[:, 1]) / 0.03
+    assert scales.min() < 0.7
+    assert scales.max() > 2
+
+
+def test_there_are_only_three_kinds() -> None:
+    with pytest.raises(ValueError, match="no kind of target is called 'ball'"):
+        make_target("ball", _SIZE)
+
+
+def test_names_tell_virtual_targets_apart() -> None:
+    name = make_target("disc", np.array([0.05, 0.04, 0.003])).name
+    assert name == "virtual_disc_50x40x3"
+    assert is_virtual(name)
+    assert not is_virtual("box_2to1")
+    assert not is_virtual("disc")
+
+
+@pytest.fixture(scope="module")
+def pairs(make_sample: _MakeSample) -> list[tuple[Sample, Sample]]:
+    """Samples, and each with a virtual target."""
+    found = []
+    for seed in range(40):
+        sample = make_sample(
+            seed, cover=(0.0, 0.3, 0.7, 1.0)[seed % 4], shape=_SHAPE
+        )
+        if seed % 2:
+            tilted = _camera(tilt=seed / 5, azimuth=37 * seed)
+            depth = tilted.plane_depth(0.0)
+            block = (slice(20, 60), slice(40, 90))
+            depth[block] = tilted.plane_depth(0.05)[block]
+            instances = np.zeros(_SHAPE)
+            instances[block] = 3
+            sample = dataclasses.replace(
+                sample,
+                depth=depth,
+                depth_without_target=depth,
+                instances=instances,
+                X_WC=tilted.X_WC,
+                intrinsics=tilted.intrinsics,
+            )
+        made = virtual_sample(sample, np.random.default_rng(seed))
+        if made is not None:
+            found.append((sample, made))
+    assert len(found) > 35
+    return found
+
+
+def _target_of(made: Sample) -> VirtualTarget:
+    kind = made.target_name.split("_")[1]
+    target = make_target(kind, made.target_size)
+    assert target.name == made.target_name
+    return target
+
+
+def test_virtual_samples_are_sound(pairs: list[tuple[Sample, Sample]]) -> None:
+    for sample, made in pairs:
+        assert problems(made) == []
+        assert is_virtual(made.target_name)
+        assert made.object_names == sample.object_names
+        for name in ("heap_seed", "view", "num_dropped"):
+            assert getattr(made, name) == getattr(sample, name)
+        for name in ("X_WC", "intrinsics", "depth_without_target"):
+            np.testing.assert_array_equal(
+                getattr(made, name), getattr(sample, name)
+            )
+
+
+def test_depth_changes_only_where_the_target_is_seen(
+    pairs: list[tuple[Sample, Sample]],
+) -> None:
+    for sample, made in pairs:
+        seen, scene = made.target_modal, sample.depth_without_target
+        np.testing.assert_allclose(
+            made.depth[~seen], scene[~seen], rtol=0, atol=6e-5
+        )
+        nearer = made.depth[seen] < scene[seen]
+        assert (nearer | (scene[seen] == 0)).all()
+        # The one that was there is gone, all else is where it was.
+        others = np.where(sample.instances > 1, sample.instances, 0)
+        np.testing.assert_array_equal(made.instances, np.where(seen, 1, others))
+
+
+def test_masks_and_label_are_those_of_the_target_alone(
+    pairs: list[tuple[Sample, Sample]],
+) -> None:
+    for sample, made in pairs:
+        alone = target_depth(_target_of(made), made.X_WT, made.camera)
+        np.testing.assert_array_equal(made.target_amodal, alone > 0)
+        label = occupancy_label(
+            alone,
+            sample.depth_without_target,
+            sample.camera,
+            made.X_WT[:3, 3],
+        )
+        np.testing.assert_array_equal(made.occupancy, label.distribution)
+        np.testing.assert_array_equal(made.target_modal, label.modal)
+        assert made.occupancy.max() == 1
+
+
+def test_targets_lie_flat_in_the_bin(
+    pairs: list[tuple[Sample, Sample]],
+) -> None:
+    yaws = set()
+    for _, made in pairs:
+        X_WT = made.X_WT
+        np.testing.assert_array_equal(X_WT[2], [0, 0, 1, X_WT[2, 3]])
+        assert X_WT[2, 3] == made.target_size[2] / 2
+        yaws.add(round(float(np.arctan2(X_WT[1, 0], X_WT[0, 0])), 3))
+        vertices = _target_of(made).vertices @ X_WT[:3, :3].T + X_WT[:3, 3]
+        assert (np.abs(vertices[:, 0]) <= 0.25).all()
+        assert (np.abs(vertices[:, 1]) <= 0.20).all()
+    assert len(yaws) == len(pairs)
+
+
+def test_some_are_hidden_and_their_mask_is_blank(
+    pairs: list[tuple[Sample, Sample]],
+) -> None:
+    hidden = [(s, m) for s, m in pairs if not m.target_modal.any()]
+    assert 0.2 < len(hidden) / len(pairs) < 0.8
+    for sample, made in hidden:
+        assert made.target_amodal.any()
+        assert not (made.instances == 1).any()
+        np.testing.assert_allclose(
+            made.depth, sample.depth_without_target, rtol=0, atol=6e-5
+        )
+    partly = [m for _, m in pairs if 0 < m.visible_fraction < 0.95]
+    assert len(partly) > 5
+
+
+def test_most_targets_are_placed_under_what_stands_in_the_bin(
+    make_sample: _MakeSample,
+) -> None:
+    sample = make_sample(1, cover=0.0, shape=_SHAPE)
+    scene = sample.camera.plane_depth(0.0)
+    posts = np.zeros(_SHAPE, bool)
+    posts[30:70:13, 30:100:13] = True
+    scene[posts] = sample.camera.plane_depth(0.03)[posts]
+    sample = dataclasses.replace(sample, depth_without_target=scene)
+    under = []
+    for seed in range(40):
+        made = virtual_sample(sample, np.random.default_rng(seed))
+        assert made is not None
+        p_W = np.array([*made.X_WT[:2, 3], 0.03])
+        u, v, _ = made.camera.project(p_W)
+        under.append(posts[round(v), round(u)])
+    assert np.mean(under) > 0.6
+
+
+def test_targets_keep_within_the_image(make_sample: _MakeSample) -> None:
+    sample = make_sample(2, cover=0.0, shape=_SHAPE)
+    zoomed = sample.intrinsics.copy()
+    zoomed[[0, 1], [0, 1]] *= 2.5
+    sample = dataclasses.replace(sample, intrinsics=zoomed)
+    for seed in range(20):
+        made = virtual_sample(sample, np.random.default_rng(seed))
+        if made is None:
+            continue
+        vertices = _target_of(made).vertices @ made.X_WT[:3, :3].T
+        uv = made.camera.project(vertices + made.X_WT[:3, 3])[:, :2]
+        assert (uv >= 0).all()
+        assert (uv <= [127, 95]).all()
+
+
+def test_nothing_is_placed_where_the_camera_has_no_reading(
+    make_sample: _MakeSample,
+) -> None:
+    """Such pixels, taken for points, all lie at the camera itself."""
+    sample = make_sample(1, cover=0.0, shape=_SHAPE)
+    scene = np.array(sample.depth_without_target)
+    scene[:20] = 0
+    sample = dataclasses.replace(sample, depth_without_target=scene)
+    nadir = sample.X_WC[:2, 3]
+    for seed in range(15):
+        made = virtual_sample(sample, np.random.default_rng(seed))
+        assert made is None or not np.allclose(made.X_WT[:2, 3], nadir)
+
+
+def test_a_seed_decides_the_sample(make_sample: _MakeSample) -> None:
+    sample = make_sample(2, cover=0.7, shape=_SHAPE, color=True)
+
+    def draw(seed: int) -> Sample:
+        made = virtual_sample(sample, np.random.default_rng(seed))
+        assert made is not None
+        return made
+
+    first, again, other = draw(5), draw(5), draw(6)
+    assert first.key == again.key
+    # No picture of it was taken.
+    assert sample.color is not None
+    assert first.color is None
+    for name in (*IMAGES, "X_WT", "target_size"):
+        np.testing.assert_array_equal(
+            getattr(first, name), getattr(again, name)
+        )
+    assert not np.array_equal(first.X_WT, other.X_WT)
+    assert not np.array_equal(first.target_size, other.target_size)
+
+
+def test_a_box_of_one_size_is_placed(make_sample: _MakeSample) -> None:
+    sample = make_sample(2, cover=0.7, shape=_SHAPE)
+    size = np.array([0.06, 0.015, 0.005])
+    for seed in range(5):
+        made = virtual_sample(sample, np.random.default_rng(seed), size=size)
+        assert made is not None
+        assert made.target_name.startswith("virtual_box_60x15x5")
+        np.testing.assert_array_equal(made.target_size, size)
+
+
+def test_a_smaller_bin_holds_its_targets(make_sample: _MakeSample) -> None:
+    sample = make_sample(2, cover=0.7, shape=_SHAPE)
+    config = LabelConfig(floor=[-0.1, 0.1, -0.08, 0.08])
+    for seed in range(5):
+        made = virtual_sample(
+            sample, np.random.default_rng(seed), config=config
+        )
+        assert made is not None
+        vertices = _target_of(made).vertices @ made.X_WT[:3, :3].T
+        assert (np.abs(vertices[:, 0] + made.X_WT[0, 3]) <= 0.1).all()
+        assert (np.abs(vertices[:, 1] + made.X_WT[1, 3]) <= 0.08).all()
+
+
+def test_where_there_is_no_place_there_is_no_sample(
+    make_sample: _MakeSample,
+) -> None:
+    sample = make_sample(2, cover=0.7, shape=_SHAPE)
+    config = LabelConfig(floor=[-0.005, 0.005, -0.005, 0.005])
+    rng = np.random.default_rng(0)
+    assert virtual_sample(sample, rng, config=config) is None
+    # The camera looks past the bin.
+    X_WC = sample.X_WC.copy()
+    X_WC[0, 3] += 2.0
+    past = dataclasses.replace(sample, X_WC=X_WC)
+    assert virtual_sample(past, rng) is None

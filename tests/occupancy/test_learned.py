@@ -1,0 +1,505 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from pydrake.common.value import AbstractValue
+from pydrake.systems.sensors import ImageDepth32F
+from torch import Tensor, nn
+
+from tests.occupancy.scenes import make_camera
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import TargetMask
+from xray_drake.occupancy.learned import (
+    SUPPORT_THRESHOLD,
+    LearnedInference,
+    default_weights,
+    load_inference,
+)
+from xray_drake.occupancy.networks.augmented_depth import augmented_depth
+from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
+from xray_drake.occupancy.networks.inputs import geometry_input, size_features
+from xray_drake.occupancy.networks.weights import (
+    NetworkCard,
+    WeightsError,
+    save_weights,
+)
+from xray_drake.occupancy.system import OccupancyInference
+
+WIDTH, HEIGHT = 96, 64
+SHAPE = (HEIGHT, WIDTH)
+OPTIONS = {"widths": [8, 8, 8, 8], "depths": [1, 1, 1, 1]}
+SIZE = np.array([0.06, 0.03, 0.005])
+CAMERA = make_camera(
+    size=(WIDTH, HEIGHT), focal_length=105, center=(47, 32), tilt=5, azimuth=40
+)
+
+
+def network(seed: int = 0, **options: Any) -> CompactNet:
+    """With random weights; its answers vary from 0 to 1."""
+    torch.manual_seed(seed)
+    net = CompactNet(**{**OPTIONS, **options})  # type: ignore[arg-type]
+    for name, parameter in net.named_parameters():
+        if "modulation" in name:
+            nn.init.normal_(parameter, 0.0, 0.3)
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            nn.init.normal_(module.running_mean, 0.0, 0.3)
+            nn.init.uniform_(module.running_var, 0.5, 2.0)
+    nn.init.normal_(net.head.weight, 0.0, 1.0)
+    assert net.head.bias is not None
+    nn.init.zeros_(net.head.bias)
+    return net.eval()
+
+
+def card(**change: Any) -> NetworkCard:
+    fields: dict[str, Any] = {
+        "architecture": "compact",
+        "options": OPTIONS,
+        "input": "geometry",
+        "targets": ("box_2to1",),
+        "box_size": None,
+    }
+    return NetworkCard(**{**fields, **change})
+
+
+def save(path: Path, seed: int = 0, **change: Any) -> Path:
+    save_weights(path, network(seed).state_dict(), card(**change))
+    return path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "network.safetensors"
+
+
+def scene() -> tuple[np.ndarray, np.ndarray]:
+    """A block, a dark corner, and a target of which a part is seen."""
+    depth = CAMERA.plane_depth(0.0)
+    depth[20:40, 30:60] = CAMERA.plane_depth(0.04)[20:40, 30:60]
+    depth[:5, :9] = 0.0
+    mask = np.zeros(SHAPE, bool)
+    mask[28:33, 60:64] = True
+    return depth.astype(np.float32), mask
+
+
+def by_hand(
+    net: CompactNet, output: str, size: np.ndarray = SIZE
+) -> np.ndarray:
+    """What the network answers to the scene; no fusing, no OpenCV."""
+    depth, mask = scene()
+    with torch.no_grad():
+        logits = net(
+            torch.from_numpy(geometry_input(depth, mask, CAMERA, size[2]))[
+                None
+            ],
+            torch.from_numpy(size_features(size, mask, CAMERA))[None],
+        )
+    answer = torch.sigmoid(logits[:, [OUTPUTS.index(output)]])
+    return nn.functional.interpolate(answer, SHAPE, mode="bilinear")[
+        0, 0
+    ].numpy()
+
+
+class Mirror(nn.Module):
+    """Answers with the mask that it sees; remembers all that it sees."""
+
+    def __init__(self, gain: float = 1.0, offset: float = 0.0) -> None:
+        super().__init__()
+        self.gain, self.offset = gain, offset
+        self.image = self.size = torch.zeros(0)
+
+    def forward(self, image: Tensor, size: Tensor | None = None) -> Tensor:
+        self.image = image
+        if size is None:
+            return self.gain * image[:, :1] + self.offset
+        self.size = size
+        return torch.cat([40 * image[:, [3]] - 20] * 2, dim=1)
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+@pytest.mark.parametrize("size", [SIZE, np.array([0.1, 0.08, 0.012])])
+def test_the_answer_is_that_of_the_network_on_disk(
+    path: Path, output: Any, size: np.ndarray
+) -> None:
+    save(path)
+    inference = load_inference(path, target_size=size, output=output)
+    distribution = inference.infer(*scene(), CAMERA)
+    data = distribution.data
+    assert data.shape == SHAPE
+    assert data.dtype == np.float32
+    assert data.min() >= 0
+    assert data.max() <= 1
+    assert np.ptp(data) > 0.3
+    np.testing.assert_allclose(
+        data, by_hand(network(), output, size), rtol=0, atol=1e-4
+    )
+    assert distribution.support_threshold == SUPPORT_THRESHOLD == 0.02
+    assert distribution.method == {"occupancy": "learned"}.get(output, output)
+    again = inference.infer(*scene(), CAMERA)
+    np.testing.assert_array_equal(again.data, data)
+
+
+def test_the_two_outputs_differ(path: Path) -> None:
+    save(path)
+    answers = [
+        load_inference(path, target_size=SIZE, output=output)
+        .infer(*scene(), CAMERA)
+        .data
+        for output in ("occupancy", "posterior")
+    ]
+    assert np.abs(answers[0] - answers[1]).max() > 0.1
+
+
+def test_readings_may_be_missing_in_any_way() -> None:
+    inference = LearnedInference(network(), card(), SIZE)
+    depth, mask = scene()
+    answers = []
+    for nothing in (0.0, np.nan, np.inf):
+        changed = np.where(depth > 0, depth, np.float32(nothing))
+        answers.append(inference.infer(changed, mask, CAMERA).data)
+    assert np.isfinite(answers[0]).all()
+    for other in answers[1:]:
+        np.testing.assert_array_equal(other, answers[0])
+
+
+@pytest.mark.parametrize("box_size", [None, (0.03, 0.03, 0.005)])
+def test_inputs_and_network_stay_as_they_are(box_size: Any) -> None:
+    net = network().train()
+    before = {name: t.clone() for name, t in net.state_dict().items()}
+    depth, mask = scene()
+    depth.setflags(write=False)
+    mask.setflags(write=False)
+    size = np.array([0.12, 0.03, 0.005])
+    inference = LearnedInference(net, card(box_size=box_size), size)
+    first = inference.infer(depth, mask, CAMERA).data
+    size[:] = 1.0
+    np.testing.assert_array_equal(
+        inference.infer(depth, mask, CAMERA).data, first
+    )
+    for name, tensor in net.state_dict().items():
+        assert torch.equal(tensor, before[name]), name
+
+
+def test_the_papers_network_sees_the_augmented_depth_less_its_mean() -> None:
+    depth, mask = scene()
+    mean = [0.25, -0.5, 1.5]
+    net = Mirror(gain=200.0, offset=30.0)
+    inference = LearnedInference(
+        net,
+        card(
+            architecture="fcn_resnet50",
+            input="augmented_depth",
+            training={"input_mean": mean, "label_scale": 255.0},
+        ),
+        SIZE,
+    )
+    distribution = inference.infer(depth, mask, CAMERA)
+    expected = augmented_depth(depth, mask) - np.reshape(mean, (3, 1, 1))
+    np.testing.assert_allclose(net.image[0], expected, atol=1e-6)
+    answer = (200 * expected[0] + 30) / 255
+    assert answer.min() < 0
+    np.testing.assert_allclose(
+        distribution.data, np.clip(answer, 0, 1), atol=1e-6
+    )
+    assert distribution.method == "learned"
+
+
+@pytest.mark.parametrize("architecture", ["compact", "fcn_resnet50"])
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("scaling", [True, False])
+def test_a_network_of_one_box_sees_every_target_as_large_as_that(
+    architecture: str, factor: float, scaling: bool
+) -> None:
+    box = (0.042, 0.0214, 0.005)
+    size = factor * np.array([0.06, 0.015, 0.01])
+    input_ = "geometry" if architecture == "compact" else "augmented_depth"
+    net = Mirror()
+    inference = LearnedInference(
+        net,
+        card(architecture=architecture, input=input_, box_size=box),
+        size,
+        scaling=scaling,
+    )
+    depth, mask = scene()
+    mask[:] = False
+    mask[16:36, 30:66] = True
+    data = inference.infer(depth, mask, CAMERA).data
+    # Where the mirror saw the mask is where it answers.
+    found = data > 0.5
+    overlap = np.count_nonzero(found & mask) / np.count_nonzero(found | mask)
+    assert overlap > 0.85
+    channel = 3 if input_ == "geometry" else 0
+    share = float(net.image[0, channel].mean()) / mask.mean()
+    s = factor if scaling else 1.0
+    assert share == pytest.approx(s**-2, rel=0.1)
+    if input_ == "geometry":
+        # It knows one length and one width, but every thickness.
+        told = size_features(np.array([*box[:2], size[2]]), mask, CAMERA)
+        np.testing.assert_allclose(net.size[0, :3], told[:3], rtol=1e-6)
+
+
+def test_a_network_of_all_sizes_sees_the_image_as_it_is() -> None:
+    net = Mirror()
+    size = np.array([0.12, 0.05, 0.01])
+    depth, mask = scene()
+    LearnedInference(net, card(), size).infer(depth, mask, CAMERA)
+    np.testing.assert_array_equal(
+        net.image[0], geometry_input(depth, mask, CAMERA, 0.01)
+    )
+    np.testing.assert_array_equal(
+        net.size[0], size_features(size, mask, CAMERA)
+    )
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
+def test_a_depth_image_without_any_reading(nothing: float) -> None:
+    inference = LearnedInference(Mirror(), card(), SIZE)
+    depth = np.full(SHAPE, nothing, np.float32)
+    with pytest.raises(ValueError, match="has no reading") as error:
+        inference.infer(depth, np.zeros(SHAPE, bool), CAMERA)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("depth", "mask", "camera", "words"),
+    [
+        ((63, 96), SHAPE, CAMERA, r"depth image is \(63, 96\)"),
+        (SHAPE, (96, 64), CAMERA, r"target mask is \(96, 64\)"),
+        ((*SHAPE, 1), SHAPE, CAMERA, r"depth image is \(64, 96, 1\)"),
+        (
+            (64, 100),
+            (64, 100),
+            make_camera(size=(100, 64)),
+            r"multiples of 32, not \(64, 100\)",
+        ),
+        (
+            (40, 96),
+            (40, 96),
+            make_camera(size=(96, 40)),
+            r"multiples of 32, not \(40, 96\)",
+        ),
+    ],
+)
+def test_images_of_wrong_shapes(
+    depth: tuple[int, ...],
+    mask: tuple[int, ...],
+    camera: PinholeCamera,
+    words: str,
+) -> None:
+    inference = LearnedInference(Mirror(), card(), SIZE)
+    with pytest.raises(ValueError, match=words) as error:
+        inference.infer(np.ones(depth), np.zeros(mask, bool), camera)
+    assert "\n" not in str(error.value)
+
+
+def test_only_some_networks_have_a_posterior() -> None:
+    with pytest.raises(ValueError, match="no output is called 'both': occu"):
+        LearnedInference(Mirror(), card(), SIZE, output="both")  # type: ignore[arg-type]
+    papers = card(architecture="fcn_resnet50", input="augmented_depth")
+    with pytest.raises(ValueError, match="fcn_resnet50 has no posterior"):
+        LearnedInference(Mirror(), papers, SIZE, output="posterior")
+
+
+def _message(path: Path, size: np.ndarray = SIZE) -> str:
+    with pytest.raises(ValueError) as error:
+        load_inference(path, target_size=size).infer(*scene(), CAMERA)
+    message = str(error.value)
+    assert "\n" not in message
+    return message
+
+
+def test_missing_and_damaged_weights_are_one_line(path: Path) -> None:
+    assert f"there are no weights at {path}" in _message(path)
+    path.write_bytes(b"PK rubbish")
+    assert f"{path} is a pickle" in _message(path)
+    save(path)
+    path.write_bytes(path.read_bytes()[:-10])
+    assert f"{path} is truncated" in _message(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"architecture": "unet"}, "no network is called 'unet'"),
+        ({"options": {"width": 3}}, "unexpected keyword argument 'width'"),
+        ({"options": {"widths": [8, 8]}}, "unpack"),
+        ({"options": {"widths": [8, 8, 8, -8]}}, "negative dimension"),
+        ({"options": {**OPTIONS, "depths": [1, 1]}}, "index out of range"),
+        ({"options": {**OPTIONS, "depths": [1, 1, 1, 2]}}, "state_dict"),
+        ({"options": {}}, "state_dict"),
+    ],
+)
+def test_weights_of_another_network_are_one_line(
+    path: Path, change: dict[str, Any], words: str
+) -> None:
+    save(path, **change)
+    message = _message(path)
+    assert message.startswith(f"{path} does not fit this version's")
+    assert words in message
+    assert "train it again with 'xray-drake train'" in message
+    with pytest.raises(WeightsError):
+        load_inference(path, target_size=SIZE)
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="LearnedInference takes any card.input and any number of channels; "
+    "infer then fails with torch's own TypeError or RuntimeError",
+)
+@pytest.mark.parametrize(
+    ("options", "change"),
+    [
+        ({"in_channels": 3}, {}),
+        ({"size_features": 3}, {}),
+        ({}, {"input": "augmented_depth"}),
+    ],
+)
+def test_a_network_that_takes_something_else_is_one_line(
+    path: Path, options: dict[str, int], change: dict[str, Any]
+) -> None:
+    net = network(**options)
+    made = card(options={**OPTIONS, **options}, **change)
+    save_weights(path, net.state_dict(), made)
+    assert str(path) in _message(path)
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="a network of all sizes takes any array for the target's size",
+)
+@pytest.mark.parametrize("size", [[0.06, 0.03], [0.06, np.nan, 0.005]])
+def test_a_target_without_a_size_is_one_line(
+    path: Path, size: list[float]
+) -> None:
+    save(path)
+    assert "is no size of a target" in _message(path, np.array(size))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Networks of boxes 1:1, 2:1, 5:1 and 10:1, and one of all sizes."""
+    folder = tmp_path_factory.mktemp("networks")
+    for ratio in (1, 2, 5, 10):
+        box = (0.03 * ratio**0.5, 0.03 / ratio**0.5, 0.005)
+        save(folder / f"{ratio}.safetensors", seed=ratio, box_size=box)
+    save(folder / "all.safetensors")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("size", "ratio"),
+    [
+        ((0.060, 0.057, 0.010), 1),  # lid
+        ((0.048, 0.024, 0.0075), 2),  # domino
+        ((0.110, 0.022, 0.016), 5),  # flute
+        ((0.099, 0.03, 0.01), 5),  # 3.3:1, by its logarithm
+        ((0.1, 0.005, 0.005), 10),
+        ((0.03, 0.15, 0.01), 5),  # width and length swapped
+    ],
+)
+def test_of_a_folder_the_network_of_the_nearest_ratio_is_taken(
+    folder: Path, size: tuple[float, float, float], ratio: int
+) -> None:
+    target = np.array(size)
+    inference = load_inference(folder, target_size=target)
+    box = inference.card.box_size
+    assert box is not None
+    assert box[0] / box[1] == pytest.approx(ratio)
+    alone = load_inference(
+        folder / f"{ratio}.safetensors", target_size=target
+    ).infer(*scene(), CAMERA)
+    np.testing.assert_array_equal(
+        inference.infer(*scene(), CAMERA).data, alone.data
+    )
+    unscaled = load_inference(folder, target_size=target, scaling=False)
+    data = unscaled.infer(*scene(), CAMERA).data
+    assert np.abs(data - alone.data).max() > 0.05
+
+
+def test_a_folder_without_a_network_of_one_box_is_one_line(
+    tmp_path: Path,
+) -> None:
+    assert "holds no network of a single box" in _message(tmp_path)
+    save(tmp_path / "all.safetensors")
+    assert "holds no network of a single box" in _message(tmp_path)
+    (tmp_path / "bad.safetensors").write_bytes(b"rubbish")
+    assert f"{tmp_path / 'bad.safetensors'} is not safet" in _message(tmp_path)
+
+
+def test_a_file_that_was_written_again_is_read_again(path: Path) -> None:
+    answers = []
+    for seed in (1, 2, 2):
+        save(path, seed)
+        # Clocks of file systems are coarse.
+        os.utime(path, ns=(0, seed * 10**9))
+        inference = load_inference(path, target_size=SIZE)
+        answers.append(inference.infer(*scene(), CAMERA).data)
+    assert np.abs(answers[0] - answers[1]).max() > 0.1
+    np.testing.assert_array_equal(answers[1], answers[2])
+
+
+def test_two_targets_of_one_file_do_not_meddle(path: Path) -> None:
+    save(path)
+    small = load_inference(path, target_size=SIZE)
+    before = small.infer(*scene(), CAMERA).data
+    large = load_inference(path, target_size=2 * SIZE, output="posterior")
+    large.infer(*scene(), CAMERA)
+    np.testing.assert_array_equal(small.infer(*scene(), CAMERA).data, before)
+
+
+def test_the_packages_weights_lie_with_its_models() -> None:
+    weights = default_weights()
+    assert weights.parts[-3:] == ("models", "networks", weights.name)
+    assert weights.suffix == ".safetensors"
+
+
+def test_the_system_gives_what_the_network_says(path: Path) -> None:
+    save(path)
+    inference = load_inference(path, target_size=SIZE)
+    system = OccupancyInference(inference=inference, width=WIDTH, height=HEIGHT)
+    context = system.CreateDefaultContext()
+    depth, mask = scene()
+
+    def fix(image: np.ndarray) -> None:
+        value = ImageDepth32F(WIDTH, HEIGHT)
+        value.mutable_data[:, :, 0] = image
+        system.GetInputPort("depth_image").FixValue(
+            context, AbstractValue.Make(value)
+        )
+
+    for name, message in (
+        ("target_mask", TargetMask(mask)),
+        ("camera", CAMERA),
+    ):
+        system.GetInputPort(name).FixValue(context, AbstractValue.Make(message))
+    fix(depth)
+    output = system.GetOutputPort("occupancy").Eval(context)
+    np.testing.assert_array_equal(
+        output.data, inference.infer(depth, mask, CAMERA).data
+    )
+    assert output.method == "learned"
+    assert output.support_size() == np.count_nonzero(output.data > 0.02)
+    fix(depth - 0.05)
+    other = system.GetOutputPort("occupancy").Eval(context)
+    assert not np.array_equal(other.data, output.data)
+    fix(np.full(SHAPE, np.inf))
+    with pytest.raises(ValueError, match="has no reading"):
+        system.GetOutputPort("occupancy").Eval(context)
+
+
+def test_networks_training_and_virtual_targets_need_no_drake() -> None:
+    script = (
+        "import sys\n"
+        "sys.modules['pydrake'] = None\n"
+        "import xray_drake.dataset.virtual\n"
+        "assert 'torch' not in sys.modules\n"
+        "import xray_drake.occupancy.learned\n"
+        "assert 'lightning' not in sys.modules\n"
+        "import xray_drake.training.run\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

@@ -1,0 +1,190 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from torch import Tensor
+
+from xray_drake.occupancy.metrics import PixelCounts
+from xray_drake.occupancy.metrics import pixel_counts as reference
+from xray_drake.training.losses import (
+    mse_loss,
+    pixel_counts,
+    posterior_loss,
+    robust_loss,
+    summary,
+)
+
+SHAPE = (3, 8, 10)
+
+
+def random(seed: int) -> Tensor:
+    return torch.rand(SHAPE, generator=torch.Generator().manual_seed(seed))
+
+
+def mask(seed: int = 0) -> Tensor:
+    return (random(seed) < 0.2).float()
+
+
+def sure(label: Tensor) -> Tensor:
+    """The logits of a label of zeros and ones."""
+    return 40 * label - 20
+
+
+def test_a_perfect_answer_has_no_loss() -> None:
+    label, real = mask(), torch.ones(3, dtype=torch.bool)
+    assert robust_loss(sure(label), label) < 1e-6
+    assert posterior_loss(sure(label), label, real) < 1e-6
+    assert mse_loss(random(0), random(0)) == 0
+    empty = torch.zeros(SHAPE)
+    assert robust_loss(sure(empty), empty) < 1e-6
+
+
+def test_no_answer_is_better_than_the_label() -> None:
+    label = random(3) * 0.9 + 0.05
+    logits = torch.logit(label)
+    least = robust_loss(logits, label)
+    for seed in range(5):
+        other = logits + 0.3 * (random(seed) - 0.5)
+        assert robust_loss(other, label) > least
+    logits = logits.clone().requires_grad_()
+    robust_loss(logits, label).backward()
+    assert logits.grad is not None
+    assert logits.grad.abs().max() < 1e-6
+
+
+@given(wrong=st.integers(1, 200), right=st.integers(0, 100))
+@settings(deadline=None, max_examples=30)
+def test_more_wrong_pixels_are_worse(wrong: int, right: int) -> None:
+    label = mask()
+    off = torch.zeros(label.numel())
+    off[:right] = 1
+
+    def loss(flipped: Tensor) -> Tensor:
+        answer = (label - flipped.view(SHAPE)).abs()
+        return robust_loss(sure(answer), label)
+
+    fewer = loss(off)
+    off[right : right + wrong] = 1
+    assert loss(off) > fewer
+
+
+def test_missing_a_small_label_costs_more_than_its_share_of_pixels() -> None:
+    small, large = torch.zeros(2, 1, 64, 64)
+    small[0, :4, :4] = 1
+    large[0, :, :] = 1
+    empty = sure(torch.zeros(1, 64, 64))
+    ratio = robust_loss(empty, large) / robust_loss(empty, small)
+    assert 1 < ratio < 100  # of 256 times as many pixels
+
+
+def test_every_image_counts_in_the_batch() -> None:
+    label = torch.zeros(SHAPE)
+    label[0, 0, 0] = 1
+    label[1] = 1
+    for index in range(2):
+        answer = label.clone()
+        answer[index] = 0
+        logits = sure(answer).requires_grad_()
+        robust_loss(logits, label).backward()
+        assert logits.grad is not None
+        assert (logits.grad[index] < 0).any()
+
+
+def test_the_papers_loss_is_the_mean_square() -> None:
+    output, label = random(0), random(1)
+    expected = np.mean((output.numpy() - label.numpy()) ** 2)
+    assert mse_loss(output, label).item() == pytest.approx(float(expected))
+
+
+@given(
+    real=st.lists(st.booleans(), min_size=3, max_size=3),
+    seed=st.integers(0, 99),
+)
+@settings(deadline=None, max_examples=30)
+def test_the_posterior_learns_nothing_from_virtual_targets(
+    real: list[bool], seed: int
+) -> None:
+    amodal = mask(seed)
+    chosen = torch.tensor(real)
+    logits = (4 * random(seed) - 2).requires_grad_()
+    loss = posterior_loss(logits, amodal, chosen)
+    loss.backward()
+    assert logits.grad is not None
+    moved = logits.grad.abs().amax(dim=(1, 2)) > 0
+    assert moved.tolist() == real
+    other = torch.where(chosen[:, None, None], amodal, 1 - amodal)
+    assert posterior_loss(logits, other, chosen) == loss
+    if any(real):
+        alone = posterior_loss(
+            logits[chosen], amodal[chosen], torch.ones(sum(real)).bool()
+        )
+        assert alone.item() == pytest.approx(loss.item(), rel=1e-5)
+    else:
+        assert loss == 0
+
+
+@pytest.mark.parametrize("probability", [0.02, 0.3, 0.9])
+def test_the_posterior_is_least_at_the_true_probability(
+    probability: float,
+) -> None:
+    generator = torch.Generator().manual_seed(0)
+    amodal = (torch.rand(4, 50, 50, generator=generator) < probability).float()
+    share = amodal.mean()
+    real = torch.ones(4, dtype=torch.bool)
+
+    def loss(value: Tensor) -> float:
+        logits = torch.logit(value).expand(amodal.shape)
+        return posterior_loss(logits, amodal, real).item()
+
+    assert loss(share) < loss(share * 0.8)
+    assert loss(share) < loss(1 - (1 - share) * 0.8)
+
+
+# Odd multiples of 1/1024: no value is 0.1, no two differ by 0.2.
+_images = arrays(
+    np.float32,
+    SHAPE,
+    elements=st.integers(0, 511).map(lambda i: (2 * i + 1) / 1024),
+)
+
+
+@given(output=_images, label=_images, exact=st.booleans())
+@settings(deadline=None, max_examples=50)
+def test_pixels_are_counted_as_the_evaluation_does(
+    output: np.ndarray, label: np.ndarray, exact: bool
+) -> None:
+    if exact:
+        output = label
+    counts = pixel_counts(torch.from_numpy(output), torch.from_numpy(label))
+    expected = sum(
+        (reference(g, p) for g, p in zip(label, output, strict=True)),
+        PixelCounts(),
+    )
+    assert counts.dtype == torch.float64
+    assert counts.tolist() == [
+        expected.tp,
+        expected.tn,
+        expected.positives,
+        expected.negatives,
+        expected.union,
+    ]
+    told = summary(counts)
+    assert set(told) == {"balanced_accuracy", "iou"}
+    for name, value in told.items():
+        assert value == pytest.approx(getattr(expected, name), nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("value", "balanced_accuracy", "iou"),
+    [(0.0, np.nan, np.nan), (1.0, np.nan, 1.0)],
+)
+def test_what_is_not_defined_is_nan(
+    value: float, balanced_accuracy: float, iou: float
+) -> None:
+    image = torch.full(SHAPE, value)
+    told = summary(pixel_counts(image, image))
+    np.testing.assert_equal(
+        [told["balanced_accuracy"], told["iou"]], [balanced_accuracy, iou]
+    )

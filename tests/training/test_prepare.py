@@ -1,0 +1,443 @@
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.dataset.conftest import synthetic_sample
+from xray_drake.dataset.augmentation import DepthNoise
+from xray_drake.dataset.manifest import (
+    DatasetError,
+    Manifest,
+    read_manifest,
+    write_manifest,
+)
+from xray_drake.dataset.reader import is_held_out
+from xray_drake.dataset.sample import Sample
+from xray_drake.dataset.shards import (
+    ShardAttributes,
+    ShardError,
+    read_shard,
+    write_shard,
+)
+from xray_drake.dataset.virtual import is_virtual
+from xray_drake.occupancy.networks.inputs import (
+    geometry_input,
+    size_features,
+)
+from xray_drake.training import prepare as module
+from xray_drake.training.data import PreparedItems
+from xray_drake.training.prepare import (
+    IMAGES,
+    PrepareConfig,
+    make_item,
+    open_prepared,
+    plan,
+    prepare,
+    prepare_shard,
+)
+
+SHAPE = (64, 96)
+SHARE = 0.4
+HEAPS, VIEWS = 6, 2
+
+EXACT = PrepareConfig(noisy=0.0, miscalibrated=0.0, mask_errors=0.0)
+"""No sensor, no errors."""
+
+
+def _sample(index: int) -> Sample:
+    """Views of a heap follow one another."""
+    heap, view = divmod(index, VIEWS)
+    return synthetic_sample(
+        heap,
+        view=view,
+        cover=(0.0, 0.4, 1.0)[index % 3],
+        shape=SHAPE,
+        target_name=("box_2to1", "lid")[heap % 2],
+    )
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dataset")
+    manifest = Manifest(
+        seed=0,
+        targets=("box_2to1", "lid"),
+        splits={"train": HEAPS * VIEWS},
+        shard_size=4,
+        views_per_heap=VIEWS,
+        height=SHAPE[0],
+        width=SHAPE[1],
+        scenario="name: tiny\n",
+    )
+    write_manifest(folder, manifest)
+    for shard in manifest.expected_shards():
+        write_shard(
+            folder / shard.name,
+            [_sample(shard.first + i) for i in range(shard.count)],
+            ShardAttributes(
+                split=shard.split,
+                scenario=manifest.scenario,
+                package_version="0.1.0",
+                drake_version="1.51.1",
+                dataset=manifest.fingerprint(),
+            ),
+        )
+    return folder
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is prepared, in this process; names of shards."""
+    names: list[str] = []
+
+    def counted(shard: Path, *arguments: Any) -> None:
+        names.append(shard.name)
+        prepare_shard(shard, *arguments)
+
+    def threads(workers: int, mp_context: object) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr(module, "prepare_shard", counted)
+    monkeypatch.setattr(module, "ProcessPoolExecutor", threads)
+    monkeypatch.setattr(module, "limit_threads", lambda: None)
+    return names
+
+
+def _prepare(
+    dataset: Path, folder: Path, config: PrepareConfig = EXACT
+) -> list[Path]:
+    jobs = plan([dataset], folder, config, SHARE)
+    told = list(prepare(jobs, config, SHARE))
+    assert told[-1] == len(jobs)
+    assert told == sorted(told)
+    return [path for _, path in jobs]
+
+
+def _bytes(path: Path) -> tuple[bytes, bytes]:
+    return path.read_bytes(), path.with_suffix(".npz").read_bytes()
+
+
+def test_items_are_made_once(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    files = _prepare(dataset, tmp_path)
+    names = [f"train-{i:05d}.h5" for i in range(3)]
+    assert sorted(made) == names
+    assert len(set(files)) == 3
+    before = [_bytes(path) for path in files]
+    made.clear()
+    assert _prepare(dataset, tmp_path) == files
+    assert made == []
+    files[1].unlink()
+    assert _prepare(dataset, tmp_path) == files
+    assert made == names[1:2]
+    assert [_bytes(path) for path in files] == before
+    assert len(list(tmp_path.iterdir())) == 6
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="prepare looks for the images alone; open_prepared then fails",
+)
+def test_vectors_that_were_removed_are_made_again(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    files = _prepare(dataset, tmp_path)
+    files[1].with_suffix(".npz").unlink()
+    made.clear()
+    _prepare(dataset, tmp_path)
+    assert made == ["train-00001.h5"]
+
+
+def test_what_was_begun_is_gone_on_with(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    jobs = plan([dataset], tmp_path, EXACT, SHARE)
+    steps = prepare(jobs, EXACT, SHARE)
+    assert [next(steps), next(steps)] == [0, 1]
+    steps.close()
+    done = sum(path.is_file() for _, path in jobs)
+    made.clear()
+    assert next(prepare(jobs, EXACT, SHARE)) == done >= 1
+    _prepare(dataset, tmp_path)
+    assert len(made) == 3 - done
+
+
+@pytest.mark.parametrize("config", [EXACT, PrepareConfig()])
+def test_the_bytes_of_items_do_not_depend_on_place_or_order(
+    dataset: Path, tmp_path: Path, config: PrepareConfig
+) -> None:
+    shards = sorted(dataset.glob("*.h5"))[:2]
+    for name, order in (("a", shards), ("b", shards[::-1])):
+        (tmp_path / name).mkdir()
+        for shard in order:
+            path = tmp_path / name / f"{shard.stem}.npy"
+            prepare_shard(shard, path, config, SHARE)
+    for shard in shards:
+        one, other = (
+            _bytes(tmp_path / name / f"{shard.stem}.npy") for name in "ab"
+        )
+        assert one == other
+
+
+def test_other_settings_are_other_files(dataset: Path, tmp_path: Path) -> None:
+    def files(config: PrepareConfig, share: float) -> set[Path]:
+        return {path for _, path in plan([dataset], tmp_path, config, share)}
+
+    base = files(EXACT, SHARE)
+    assert files(PrepareConfig(**dataclasses.asdict(EXACT)), SHARE) == base
+    for config, share in (
+        (dataclasses.replace(EXACT, seed=1), SHARE),
+        (dataclasses.replace(EXACT, virtual=3), SHARE),
+        (dataclasses.replace(EXACT, noise=DepthNoise(sigma=0.1)), SHARE),
+        (EXACT, 0.3),
+    ):
+        assert not files(config, share) & base
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the file's name knows where the shard lies, not what is in it",
+)
+def test_another_dataset_in_the_same_place_is_prepared_anew(
+    dataset: Path, tmp_path: Path
+) -> None:
+    files = []
+    manifest = read_manifest(dataset)
+    (tmp_path / "train-00000.h5").touch()
+    for seed in (1, 2):
+        write_manifest(tmp_path, dataclasses.replace(manifest, seed=seed))
+        jobs = plan([tmp_path], tmp_path, EXACT, SHARE, incomplete=True)
+        files.append(jobs[0][1])
+    assert files[0] != files[1]
+
+
+@pytest.fixture(scope="module")
+def prepared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Items of the first shard, without errors; two virtual ones each."""
+    path = tmp_path_factory.mktemp("items") / "items.npy"
+    prepare_shard(dataset / "train-00000.h5", path, EXACT, SHARE)
+    return path
+
+
+def test_items_are_the_samples_and_virtual_ones(
+    dataset: Path, prepared: Path
+) -> None:
+    items = open_prepared(prepared)
+    samples = read_shard(dataset / "train-00000.h5")
+    assert items.images.dtype == np.uint8
+    count = len(items.targets)
+    assert len(samples) < count <= 3 * len(samples)
+    assert items.images.shape == (count, len(IMAGES), 32, 48)
+    assert items.sizes.shape == (count, 5)
+    assert items.sizes.dtype == np.float32
+    assert items.real.tolist() == [not is_virtual(n) for n in items.targets]
+    rows = np.flatnonzero(items.real)
+    assert len(rows) == len(samples)
+    for row, sample in zip(rows, samples, strict=True):
+        assert items.targets[row] == sample.target_name
+        image = items.images[row] / 255
+        inputs = geometry_input(
+            sample.depth,
+            sample.target_modal,
+            sample.camera,
+            float(sample.target_size[2]),
+        )
+        np.testing.assert_allclose(image[:5], inputs, atol=0.5 / 255 + 1e-6)
+        for name, channel in (("occupancy", 5), ("target_amodal", 6)):
+            full = getattr(sample, name).astype(float)
+            blocks = full.reshape(32, 2, 48, 2).mean(axis=(1, 3))
+            np.testing.assert_allclose(
+                image[channel], blocks, atol=0.5 / 255 + 1e-6
+            )
+        np.testing.assert_array_equal(
+            items.sizes[row],
+            size_features(
+                sample.target_size, sample.target_modal, sample.camera
+            ),
+        )
+
+
+def test_virtual_items_have_their_own_size_and_label(prepared: Path) -> None:
+    items = open_prepared(prepared)
+    real, virtual = items.images[items.real], items.images[~items.real]
+    assert (virtual[:, 5].max(axis=(1, 2)) > 0).all()
+    assert (virtual[:, 6].max(axis=(1, 2)) > 0).all()
+    for image in virtual:
+        assert not any(np.array_equal(image[6], other[6]) for other in real)
+    assert len(np.unique(items.sizes[~items.real][:, :3], axis=0)) == len(
+        virtual
+    )
+
+
+def test_no_virtual_items_are_made_if_none_are_wanted(
+    dataset: Path, tmp_path: Path
+) -> None:
+    config = dataclasses.replace(EXACT, virtual=0)
+    prepare_shard(
+        dataset / "train-00000.h5", tmp_path / "items.npy", config, SHARE
+    )
+    assert open_prepared(tmp_path / "items.npy").real.tolist() == [True] * 4
+
+
+def test_no_heap_is_trained_on_and_held_out(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    files = _prepare(dataset, tmp_path)
+    shards = [open_prepared(path) for path in files]
+    seeds = [
+        sample.heap_seed
+        for shard in sorted(dataset.glob("*.h5"))
+        for sample in read_shard(shard)
+    ]
+    heaps: list[int] = []
+    before = 0
+    for items in shards:
+        # A sample, then its virtual ones.
+        own = [seeds[i] for i in before + np.cumsum(items.real) - 1]
+        before += np.count_nonzero(items.real)
+        assert items.held_out.tolist() == [
+            is_held_out(heap, SHARE) for heap in own
+        ]
+        heaps += own
+    assert set(heaps) == set(range(HEAPS))
+    out = {heap for heap in heaps if is_held_out(heap, SHARE)}
+    assert 0 < len(out) < HEAPS
+    count = {
+        held_out: len(PreparedItems(shards, held_out=held_out))
+        for held_out in (False, True)
+    }
+    assert count[True] == sum(heap in out for heap in heaps)
+    assert count[False] == sum(heap not in out for heap in heaps)
+
+
+def _items(sample: Sample, **change: Any) -> list[tuple[np.ndarray, ...]]:
+    config = dataclasses.replace(EXACT, **change)
+    return [
+        make_item(sample, config, np.random.default_rng(seed))
+        for seed in range(8)
+    ]
+
+
+def test_each_error_changes_what_it_should_and_no_label() -> None:
+    sample = _sample(1)
+    ((exact, size), *rest) = _items(sample)
+    assert all(np.array_equal(image, exact) for image, _ in rest)
+
+    def changed(**change: Any) -> tuple[set[str], list[np.ndarray]]:
+        found, sizes = set(), []
+        for image, features in _items(sample, **change):
+            sizes.append(features)
+            found |= {
+                name
+                for name, one, other in zip(IMAGES, image, exact, strict=True)
+                if not np.array_equal(one, other)
+            }
+        return found, sizes
+
+    found, sizes = changed(noisy=1.0)
+    assert {"reading", "cover", "height"} >= found >= {"reading", "cover"}
+    assert all(np.array_equal(s, size) for s in sizes)
+
+    found, sizes = changed(mask_errors=1.0)
+    assert found == {"modal"}
+    shares = [s[4] for s in sizes]
+    assert min(shares) < size[4] < max(shares)
+
+    found, sizes = changed(miscalibrated=1.0, height_error=0.003)
+    assert {"cover", "height"} <= found <= {"cover", "height", "floor"}
+    error = [s[:2] - size[:2] for s in sizes]
+    assert 1e-4 < np.abs(error).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("key", "channel"), [("height_error", 1), ("tilt_error", 1)]
+)
+def test_wrong_calibration_lifts_or_tilts_the_floor(
+    key: str, channel: int
+) -> None:
+    sample = _sample(0)
+    quiet = {"height_error": 0.0, "tilt_error": 0.0, "focal_error": 0.0}
+    quiet[key] = 0.02
+    ((exact, _), *_) = _items(sample)
+    for image, _ in _items(sample, miscalibrated=1.0, **quiet):
+        floor = (exact[3] == 0) & (exact[2] == 255) & (exact[1] < 40)
+        change = image[channel].astype(int) - exact[channel]
+        spread = np.ptp(change[floor])
+        if key == "height_error":
+            assert spread <= 2
+        else:
+            assert spread > 2
+
+
+def test_a_small_mask_is_not_eroded_away() -> None:
+    sample = _sample(1)
+    modal = np.zeros(SHAPE, bool)
+    modal[10:14, 10:20] = True  # 40 pixels
+    small = dataclasses.replace(sample, target_modal=modal)
+    for image, _ in _items(small, mask_errors=1.0):
+        blocks = cv2.resize(modal.astype(np.float32), (48, 32))
+        np.testing.assert_array_equal(image[3], np.rint(blocks * 255))
+
+
+def test_shards_that_are_still_to_come_are_left_out_if_told_so(
+    dataset: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "growing"
+    folder.mkdir()
+    for name in ("dataset.json", "train-00001.h5"):
+        (folder / name).write_bytes((dataset / name).read_bytes())
+    with pytest.raises(DatasetError, match=r"00000\.h5 is missing: resume"):
+        plan([folder], tmp_path, EXACT, SHARE)
+    ((shard, _),) = plan([folder], tmp_path, EXACT, SHARE, incomplete=True)
+    assert shard == folder / "train-00001.h5"
+    jobs = plan([folder, dataset], tmp_path, EXACT, SHARE, incomplete=True)
+    assert len({path for _, path in jobs}) == 4
+
+
+def test_no_dataset_and_no_shard_are_one_line(
+    dataset: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "dataset.json").write_bytes(
+        (dataset / "dataset.json").read_bytes()
+    )
+    for folder, words in (
+        (tmp_path, f"no shard in {tmp_path}: run 'xray-drake generate'"),
+        (tmp_path / "gone", "gone is no dataset"),
+    ):
+        with pytest.raises(DatasetError, match=words) as error:
+            plan([folder], tmp_path, EXACT, SHARE, incomplete=True)
+        assert "\n" not in str(error.value)
+
+
+def test_a_damaged_shard_is_named_and_leaves_nothing(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    folder = tmp_path / "damaged"
+    folder.mkdir()
+    for path in dataset.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    bad = folder / "train-00001.h5"
+    bad.write_bytes(bad.read_bytes()[:-100])
+    cache = tmp_path / "cache"
+    jobs = plan([folder], cache, EXACT, SHARE)
+    with pytest.raises(ShardError, match=r"train-00001\.h5 is damaged"):
+        list(prepare(jobs, EXACT, SHARE))
+    left = [path for path in cache.iterdir() if "00001" in path.name]
+    assert left == []
+
+
+def test_processes_make_the_same_items(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # They inherit the environment, and limit_threads changes it.
+    for name in ("OMP", "OPENBLAS", "MKL"):
+        monkeypatch.setenv(f"{name}_NUM_THREADS", "1")
+    files = _prepare(dataset, tmp_path, PrepareConfig())
+    path = tmp_path / "here.npy"
+    prepare_shard(dataset / "train-00000.h5", path, PrepareConfig(), SHARE)
+    assert _bytes(files[0]) == _bytes(path)

@@ -1,0 +1,67 @@
+"""Weights of a ResNet-50 that was trained on something else."""
+
+from pathlib import Path
+
+import safetensors.torch
+from safetensors import SafetensorError
+from torch import nn
+
+from xray_drake.occupancy.networks.weights import WeightsError
+
+_HEAD = "classifier."
+"""The backbone has all parameters but these."""
+
+_FOREIGN_HEAD = "fc."
+"""What classifies in torchvision's ``resnet50``."""
+
+_COUNTERS = "num_batches_tracked"
+"""Older weights are without them, and nothing needs them."""
+
+_WANTED = "torchvision's resnet50 as safetensors"
+
+
+def load_backbone(net: nn.Module, path: Path) -> None:
+    """Loads the backbone of an ``FCNResNet50``; its head stays as it is.
+
+    Args:
+        net: changed in place.
+        path: of a safetensors file, with the names that torchvision's
+            ``resnet50`` gives; reading it runs no code.
+
+    Raises:
+        WeightsError: there is no such file, or it does not fit; ``net`` is then
+            unchanged.
+    """
+    try:
+        state = safetensors.torch.load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(
+            f"no backbone can be read from {path}: {error}; give {_WANTED}"
+        ) from error
+    own = net.state_dict()
+    found = {
+        name: tensor
+        for name, tensor in state.items()
+        if not name.startswith(_FOREIGN_HEAD)
+    }
+    needed = {
+        name
+        for name in own
+        if not name.startswith(_HEAD) and not name.endswith(_COUNTERS)
+    }
+    for name in sorted(needed - found.keys()):
+        raise _misfit(path, f"it lacks {name}")
+    for name, tensor in found.items():
+        if name not in own or name.startswith(_HEAD):
+            raise _misfit(path, f"it has {name}")
+        if tensor.shape != own[name].shape:
+            raise _misfit(
+                path,
+                f"{name} is {tuple(tensor.shape)}, not "
+                f"{tuple(own[name].shape)}",
+            )
+    net.load_state_dict(found, strict=False)
+
+
+def _misfit(path: Path, why: str) -> WeightsError:
+    return WeightsError(f"{path} is no backbone: {why}; give {_WANTED}")

@@ -1,0 +1,77 @@
+"""The card of a network that was trained."""
+
+import platform
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+
+import lightning
+import torch
+
+from xray_drake.dataset.manifest import read_manifest
+from xray_drake.occupancy.networks.weights import NetworkCard
+from xray_drake.training.config import TrainConfig
+from xray_drake.training.data import TrainingData
+from xray_drake.training.module import OccupancyTraining
+
+
+def make_card(
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    data: TrainingData,
+    module: OccupancyTraining,
+    trainer: lightning.Trainer,
+    *,
+    box_size: tuple[float, float, float] | None,
+) -> NetworkCard:
+    """Says what was trained on what, and how good it became.
+
+    Args:
+        datasets: folders.
+        config: of the run.
+        data: what it was trained and validated on.
+        module: when all is done.
+        trainer: that did it.
+        box_size: length, width, thickness of the one box that the network
+            knows, m; None if it is told the target's size.
+    """
+    manifests = [read_manifest(dataset) for dataset in datasets]
+    targets = sorted({name for m in manifests for name in m.targets})
+    if config.targets:
+        targets = [name for name in targets if name in config.targets]
+    metrics = {
+        name: round(float(value), 4)
+        for name, value in trainer.callback_metrics.items()
+        if name.startswith("validation/")
+    }
+    return NetworkCard(
+        architecture=config.architecture,
+        options=config.options,
+        input=config.input,
+        targets=tuple(targets),
+        box_size=box_size,
+        data={
+            "datasets": [
+                {
+                    "scenario": manifest.scenario,
+                    "seed": manifest.seed,
+                    "images when complete": manifest.num_samples,
+                    "views per heap": manifest.views_per_heap,
+                    "drake": manifest.drake_version,
+                }
+                for manifest in manifests
+            ],
+            "images used": data.num_images,
+            "items to train on": data.num_train,
+            "items held out": data.num_validation,
+        },
+        training={
+            **module.facts(),
+            "optimizer steps": trainer.global_step,
+            "date": date.today().isoformat(),
+            "machine": platform.machine(),
+            "threads": torch.get_num_threads(),
+            "torch": torch.__version__,
+        },
+        figures={f"held-out heaps, {module.resolution}": metrics},
+    )
