@@ -346,11 +346,6 @@ def test_weights_of_another_network_are_one_line(
         load_inference(path, target_size=SIZE)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="LearnedInference takes any card.input and any number of channels; "
-    "infer then fails with torch's own TypeError or RuntimeError",
-)
 @pytest.mark.parametrize(
     ("options", "change"),
     [
@@ -368,10 +363,6 @@ def test_a_network_that_takes_something_else_is_one_line(
     assert str(path) in _message(path)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a network of all sizes takes any array for the target's size",
-)
 @pytest.mark.parametrize("size", [[0.06, 0.03], [0.06, np.nan, 0.005]])
 def test_a_target_without_a_size_is_one_line(
     path: Path, size: list[float]

@@ -151,7 +151,7 @@ _images = arrays(
 
 
 @given(output=_images, label=_images, exact=st.booleans())
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 def test_pixels_are_counted_as_the_evaluation_does(
     output: np.ndarray, label: np.ndarray, exact: bool
 ) -> None:

@@ -95,16 +95,11 @@ def test_what_is_wrong_is_one_line(path: Path, text: str, words: str) -> None:
     assert re.search(words, message(path))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="OmegaConf.merge raises a TypeError, which load_config lets pass",
-)
 def test_a_list_is_no_configuration(path: Path) -> None:
     path.write_text("- name: mine\n")
     message(path)
 
 
-@pytest.mark.xfail(strict=True, reason="inf is above 0")
 @pytest.mark.parametrize("key", ["passes", "learning_rate"])
 def test_nothing_is_infinite(path: Path, key: str) -> None:
     path.write_text(f"{key}: .inf\n")

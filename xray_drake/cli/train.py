@@ -8,7 +8,8 @@ import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 
-from xray_drake.cli.errors import errors_as_lines
+from xray_drake.cli.errors import complain, errors_as_lines
+from xray_drake.cli.exits import INTERRUPTED
 
 
 def train(
@@ -48,8 +49,8 @@ def train(
     devices: Annotated[int, typer.Option(min=1, help="GPUs.")] = 1,
 ) -> None:
     """Train an occupancy network on datasets; writes weights and a card."""
-    from xray_drake.training.config import load_config
-    from xray_drake.training.run import CARD, WEIGHTS, RunOptions
+    from xray_drake.training.config import check_config, load_config
+    from xray_drake.training.run import CARD, CHECKPOINT, WEIGHTS, RunOptions
     from xray_drake.training.run import train as run
 
     console = Console()
@@ -59,6 +60,7 @@ def train(
             chosen.seed = seed
         if passes is not None:
             chosen.passes = passes
+        check_config(chosen, config)
         options = RunOptions(
             out=out,
             resume=resume,
@@ -85,6 +87,12 @@ def train(
 
         try:
             card = run(datasets, chosen, options, prepared=prepared)
+        except KeyboardInterrupt:
+            raise complain(
+                "interrupted; go on with --resume if there is a "
+                f"{out / CHECKPOINT}",
+                INTERRUPTED,
+            ) from None
         finally:
             bars.stop()
         for where, figures in card.figures.items():

@@ -15,13 +15,19 @@ from xray_drake.occupancy.aspect import (
     aspect_ratio,
     box_scale,
     nearest_ratio,
+    oriented_size,
     rescale_input,
     rescale_output,
 )
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 from xray_drake.occupancy.networks.build import build_network, channels_last
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
-from xray_drake.occupancy.networks.inputs import geometry_input, size_features
+from xray_drake.occupancy.networks.inputs import (
+    CHANNELS,
+    SIZE_FEATURES,
+    geometry_input,
+    size_features,
+)
 from xray_drake.occupancy.networks.weights import (
     NetworkCard,
     WeightsError,
@@ -79,7 +85,7 @@ class LearnedInference:
             raise ValueError(f"{card.architecture} has no {output}")
         self.card = card
         self.output = output
-        self._size = np.array(target_size, dtype=float)
+        self._size = oriented_size(target_size)
         self._scale = 1.0
         if card.box_size is not None:
             self._scale = box_scale(self._size) if scaling else 1.0
@@ -206,13 +212,25 @@ def _load(path: Path, changed: int) -> tuple[nn.Module, NetworkCard]:
     try:
         net = build_network(card.architecture, card.options)
         net.load_state_dict(state)
-    except (IndexError, RuntimeError, ValueError) as error:
+        _try(net.eval(), card)
+    except (IndexError, RuntimeError, TypeError, ValueError) as error:
         raise WeightsError(
             f"{path} does not fit this version's {card.architecture!r} "
             f"network: {str(error).splitlines()[0]}; train it again with "
             "'xray-drake train'"
         ) from error
     return net.eval(), card
+
+
+def _try(net: nn.Module, card: NetworkCard) -> None:
+    """Raises RuntimeError or TypeError if a network takes another input."""
+    side = torch.zeros(1, 1, 32, 32)
+    with torch.inference_mode():
+        if card.input == "geometry":
+            image = side.expand(-1, len(CHANNELS), -1, -1)
+            net(image, torch.zeros(1, len(SIZE_FEATURES)))
+        else:
+            net(side.expand(-1, 3, -1, -1))
 
 
 def _nearest(folder: Path, target_size: np.ndarray) -> Path:

@@ -1,5 +1,6 @@
 """What a training run is: read from YAML, every key known."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -120,16 +121,30 @@ def load_config(name: str) -> TrainConfig:
             OmegaConf.structured(TrainConfig), OmegaConf.load(path)
         )
         config = OmegaConf.to_object(merged)
-    except (OmegaConfBaseException, YAMLError, OSError, ValueError) as error:
+    except (
+        OmegaConfBaseException,
+        YAMLError,
+        OSError,
+        TypeError,
+        ValueError,
+    ) as error:
         reason = " ".join(str(error).split())
         raise TrainingError(f"{path}: {reason}") from error
     assert isinstance(config, TrainConfig)
-    _check(config, path)
+    check_config(config, str(path))
     return config
 
 
-def _check(config: TrainConfig, path: Path) -> None:
-    """Raises TrainingError for what no run can be made of."""
+def check_config(config: TrainConfig, path: str) -> None:
+    """Refuses what no run can be made of.
+
+    Args:
+        config: of a run.
+        path: what messages begin with: where the configuration is from.
+
+    Raises:
+        TrainingError: one line that names the key.
+    """
     for key, allowed in (
         ("architecture", tuple(_FIXED)),
         ("input", INPUTS),
@@ -149,9 +164,9 @@ def _check(config: TrainConfig, path: Path) -> None:
         "label_scale",
         "input_mean_images",
     ):
-        if not getattr(config, key) > 0:
+        if not 0 < getattr(config, key) < math.inf:
             raise TrainingError(
-                f"{path}: {key} is {getattr(config, key)}, not above 0"
+                f"{path}: {key} is {getattr(config, key)}, not above 0 and finite"
             )
     for key, wanted in _FIXED[config.architecture].items():
         value = getattr(config, key)
@@ -173,7 +188,7 @@ def _check(config: TrainConfig, path: Path) -> None:
     _check_virtual(config, path)
 
 
-def _check_virtual(config: TrainConfig, path: Path) -> None:
+def _check_virtual(config: TrainConfig, path: str) -> None:
     size = config.prepare.virtual_size
     if size and not (len(size) == 3 and all(side > 0 for side in size)):
         raise TrainingError(

@@ -155,6 +155,11 @@ class TrainingData(lightning.LightningDataModule):
         sampler = PassSampler(
             self.num_train, config.items_per_epoch, config.seed
         )
+        if self.trainer is not None:
+            # The trainer tells the sampler its epoch only after it has begun
+            # to draw the first one; on resume that is not epoch 0.
+            progress = self.trainer.fit_loop.epoch_progress.current
+            sampler.set_epoch(progress.processed)  # type: ignore[attr-defined]
         return self._loader(self.train_items, sampler, drop_last=True)
 
     def val_dataloader(self) -> DataLoader:

@@ -135,12 +135,18 @@ class CompactTraining(OccupancyTraining):
         self._mass.append(share[real].cpu())
 
     def on_validation_epoch_end(self) -> None:
-        """Logs what was counted."""
-        for name, value in summary(self._counts).items():
+        """Logs what was counted, on all devices."""
+        mass = torch.cat(self._mass).double()
+        sums = torch.cat(
+            [self._counts, mass.sum()[None], torch.tensor([len(mass)])]
+        )
+        gathered = self.all_gather(sums)
+        assert isinstance(gathered, Tensor)  # (7,), or (devices, 7)
+        total = gathered.reshape(-1, 7).sum(dim=0)
+        for name, value in summary(total[:5]).items():
             self.log(f"validation/{name}", value, prog_bar=True)
-        mass = torch.cat(self._mass)
-        if len(mass):
-            self.log("validation/mass_on_target", mass.mean())
+        if total[6] > 0:
+            self.log("validation/mass_on_target", total[5] / total[6])
         self._counts.zero_()
         self._mass.clear()
 
@@ -164,6 +170,7 @@ class CompactTraining(OccupancyTraining):
             },
             on_step=training,
             on_epoch=not training,
+            sync_dist=not training,
             batch_size=len(images),
         )
         return loss, output

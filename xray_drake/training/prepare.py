@@ -108,18 +108,18 @@ def plan(
     Raises:
         DatasetError: a dataset that cannot be read, or lacks a shard.
     """
-    shards = [
-        dataset / expected.name
-        for dataset in datasets
-        for expected in read_manifest(dataset).expected_shards()
-    ]
-    jobs = [
-        (shard, folder / _item_name(shard, config, validation_share))
-        for shard in shards
-        if shard.is_file()
-    ]
-    if len(jobs) < len(shards) and not incomplete:
-        absent = next(shard for shard in shards if not shard.is_file())
+    planned = []
+    for dataset in datasets:
+        manifest = read_manifest(dataset)
+        fingerprint = manifest.fingerprint()
+        for expected in manifest.expected_shards():
+            name = _item_name(
+                fingerprint, expected.name, config, validation_share
+            )
+            planned.append((dataset / expected.name, folder / name))
+    jobs = [job for job in planned if job[0].is_file()]
+    if len(jobs) < len(planned) and not incomplete:
+        absent = next(shard for shard, _ in planned if not shard.is_file())
         raise DatasetError(
             f"{absent} is missing: resume 'xray-drake generate', or train with "
             "--incomplete on what is there"
@@ -149,7 +149,11 @@ def prepare(
         ShardError: a damaged shard.
         OSError: the items cannot be written.
     """
-    missing = [job for job in jobs if not job[1].is_file()]
+    missing = [
+        job
+        for job in jobs
+        if not (job[1].is_file() and job[1].with_suffix(".npz").is_file())
+    ]
     done = len(jobs) - len(missing)
     yield done
     if not missing:
@@ -172,17 +176,15 @@ def prepare(
             raise
 
 
-def _item_name(shard: Path, config: PrepareConfig, share: float) -> str:
+def _item_name(
+    fingerprint: str, shard: str, config: PrepareConfig, share: float
+) -> str:
     """Names the file of a shard's items by all that decides what is in it."""
-    how = asdict(config)
-    if not config.virtual_size:
-        # As items were named before there was this key.
-        del how["virtual_size"]
     what = json.dumps(
-        [str(shard.resolve()), how, share, _VERSION], sort_keys=True
+        [fingerprint, shard, asdict(config), share, _VERSION], sort_keys=True
     )
     digest = hashlib.blake2b(what.encode(), digest_size=6).hexdigest()
-    return f"{shard.stem}-{digest}.npy"
+    return f"{Path(shard).stem}-{digest}.npy"
 
 
 def prepare_shard(
@@ -257,7 +259,9 @@ def make_item(
     if rng.random() < config.noisy:
         seen = config.noise(seen, rng)
     if rng.random() < config.mask_errors and np.count_nonzero(seen.modal) > 40:
-        seen = resize_mask(seen, int(rng.choice([-1, 1])))
+        changed = resize_mask(seen, int(rng.choice([-1, 1])))
+        # A sliver that is lost would have another label.
+        seen = changed if changed.modal.any() else seen
     if rng.random() < config.miscalibrated:
         camera = _miscalibrated(camera, config, rng)
     size = sample.target_size

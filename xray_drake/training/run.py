@@ -4,10 +4,13 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 
 import lightning
+import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from lightning.pytorch.loggers import CSVLogger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from torch import nn
 
 from xray_drake.files import write_whole_file
@@ -87,18 +90,12 @@ def train(
     make = _MAKERS[config.architecture]
     module, data = make(net, datasets, config, options, prepared)
     steps = _steps(data, options)
-    trainer = _trainer(config, options, data.epochs)
-    path = options.out / CHECKPOINT
-    with warnings.catch_warnings():
-        # One process reads; more would take the trainer's cores.
-        warnings.filterwarnings("ignore", ".*does not have many workers.*")
-        trainer.fit(
-            module,
-            data,
-            ckpt_path=str(path) if options.resume else None,
-            weights_only=True,
-        )
-    if trainer.interrupted or trainer.global_step < steps:
+    try:
+        trainer = _trainer(config, options, data.epochs)
+    except MisconfigurationException as error:
+        raise TrainingError(str(error)) from error
+    _fit(trainer, module, data, options)
+    if trainer.global_step < steps:
         raise TrainingError(
             f"stopped after {trainer.global_step} of {steps} steps; go on "
             "with --resume"
@@ -159,6 +156,46 @@ _MAKERS: Mapping[str, Callable[..., tuple[OccupancyTraining, TrainingData]]] = {
 """By architecture: what trains the network, and the data."""
 
 
+def _fit(
+    trainer: lightning.Trainer,
+    module: OccupancyTraining,
+    data: TrainingData,
+    options: RunOptions,
+) -> None:
+    """Trains to the end, and validates.
+
+    Raises:
+        TrainingError: the checkpoint is damaged.
+        KeyboardInterrupt: as it was pressed.
+    """
+    path = options.out / CHECKPOINT if options.resume else None
+    if path is not None:
+        try:
+            torch.load(path, map_location="cpu", weights_only=True)
+        except (RuntimeError, IndexError, EOFError, UnpicklingError) as error:
+            reason = " ".join(str(error).split())
+            raise TrainingError(
+                f"{path} is damaged ({reason}): take best.ckpt in its place, "
+                "or begin anew in another folder"
+            ) from error
+    with warnings.catch_warnings():
+        # One process reads; more would take the trainer's cores.
+        warnings.filterwarnings("ignore", ".*does not have many workers.*")
+        try:
+            trainer.fit(
+                module,
+                data,
+                ckpt_path=str(path) if path else None,
+                weights_only=True,
+            )
+            if "validation/iou" not in trainer.callback_metrics:
+                # A run that was complete when it was taken up.
+                trainer.validate(module, data, verbose=False)
+        except SystemExit:
+            # So the trainer answers Ctrl-C.
+            raise KeyboardInterrupt from None
+
+
 def _steps(data: TrainingData, options: RunOptions) -> int:
     """Returns the optimizer's; devices share the items of an epoch."""
     return data.epochs * (data.steps_per_epoch // options.devices)
@@ -183,15 +220,20 @@ def _open_run(options: RunOptions) -> None:
 def _trainer(
     config: TrainConfig, options: RunOptions, epochs: int
 ) -> lightning.Trainer:
-    checkpoints = ModelCheckpoint(
+    best = ModelCheckpoint(
         dirpath=options.out,
         filename="best",
         monitor="validation/iou",
         mode="max",
-        save_last=True,
         enable_version_counter=False,
     )
-    callbacks: list[lightning.Callback] = [checkpoints]
+    # One of its own: "save_last" saves only what is also the best.
+    last = ModelCheckpoint(
+        dirpath=options.out,
+        filename=Path(CHECKPOINT).stem,
+        enable_version_counter=False,
+    )
+    callbacks: list[lightning.Callback] = [best, last]
     if options.progress:
         callbacks.append(RichProgressBar())
     return lightning.Trainer(
@@ -199,7 +241,8 @@ def _trainer(
         accelerator=options.accelerator,
         devices=options.devices,
         precision=config.precision,  # type: ignore[arg-type]
-        logger=CSVLogger(options.out, name="", version="logs"),
+        # A folder for each start: a logger deletes what it finds.
+        logger=CSVLogger(options.out, name="logs"),
         callbacks=callbacks,
         enable_progress_bar=options.progress,
         enable_model_summary=False,

@@ -67,10 +67,11 @@ def geometry_input(
         thickness: of the target, m.
 
     Returns:
-        (5, H/2, W/2) float32 in [0, 1], each the mean over 2 × 2 pixels:
-        "cover", 1 where the surface is higher than the target's top, 0 where
-        lower or without a reading; the height; whether there is a reading; the
-        mask; whether the pixel's ray meets the plane z = 0 within the bin.
+        (5, H/2, W/2) float32 in [0, 1], the mean over 2 × 2 pixels of "cover",
+        1 where the surface is higher than the target's top, 0 where lower or
+        without a reading; of the height; of whether there is a reading; of the
+        mask; and whether the ray through their middle meets the plane z = 0
+        within the bin.
     """
     heights = heights_above_floor(depth, camera)
     reading = ~np.isnan(heights)
