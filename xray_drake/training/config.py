@@ -166,7 +166,8 @@ def check_config(config: TrainConfig, path: str) -> None:
     ):
         if not 0 < getattr(config, key) < math.inf:
             raise TrainingError(
-                f"{path}: {key} is {getattr(config, key)}, not above 0 and finite"
+                f"{path}: {key} is {getattr(config, key)}, not above 0 and "
+                "finite"
             )
     for key, wanted in _FIXED[config.architecture].items():
         value = getattr(config, key)
