@@ -34,7 +34,7 @@ def test_inference_of_an_image(
 ) -> None:
     camera = CAMERAS["nominal"]
     rng = np.random.default_rng(0)
-    depth, _ = render(camera, occluders(rng))
+    depth, _ = render(camera, occluders(rng, 14, np.zeros(2), 0.045, 0.017))
     inference = load_inference(
         default_weights(),
         target_size=SIZE,

@@ -140,7 +140,7 @@ class LearnedInference:
             answer = self._from_augmented_depth(depth, mask)
         if answer.shape != depth.shape:
             answer = cv2.resize(
-                answer, depth.shape[::-1], interpolation=cv2.INTER_LINEAR
+                answer, depth.shape[::-1], interpolation=cv2.INTER_CUBIC
             )
         if self._scale != 1.0:
             answer = rescale_output(answer, self._scale)
