@@ -1,7 +1,6 @@
 """Builds the whole search as one Diagram."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -10,7 +9,7 @@ from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.gripper.quasi_static import DrawnGripper, QuasiStaticGripper
 from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.learned import default_weights, load_inference
+from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
 from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
@@ -22,7 +21,11 @@ from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
-from xray_drake.station.scenario import Scenario, check_scenario
+from xray_drake.station.scenario import (
+    Scenario,
+    check_scenario,
+    weights_path,
+)
 
 
 class SearchDiagram(Diagram):
@@ -169,9 +172,8 @@ def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
     perception = scenario.perception
     if perception.occupancy == "exact":
         return ExactInference(target, perception.exact)
-    weights = perception.weights
     return load_inference(
-        Path(weights) if weights else default_weights(),
+        weights_path(perception),
         target_size=target.extents,
         output="posterior"
         if perception.occupancy == "posterior"

@@ -22,6 +22,8 @@ from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
+from xray_drake.occupancy.learned import default_weights
+from xray_drake.occupancy.networks.weights import WeightsError, read_card
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import (
     CameraSampling,
@@ -340,6 +342,7 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             f"{scenario.scene.random_number.mean}: it must be from 0 to "
             f"{MOST_OBJECTS}"
         )
+    _check_weights(scenario.perception, source)
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
     if scenario.seed < 0:
@@ -417,6 +420,23 @@ def _construct_tagged(loader: _StrictLoader, tag: str, node: yaml.Node) -> dict:
 
 
 _StrictLoader.add_multi_constructor("!", _construct_tagged)
+
+
+def _check_weights(perception: PerceptionConfig, source: str) -> None:
+    if perception.occupancy == "exact":
+        return
+    path = weights_path(perception)
+    try:
+        if not path.is_dir():
+            read_card(path)
+    except WeightsError as error:
+        raise ScenarioError(f"{source}: perception.weights: {error}") from error
+
+
+def weights_path(perception: PerceptionConfig) -> Path:
+    """Returns where the network's weights are."""
+    given = perception.weights
+    return Path(given) if given else default_weights()
 
 
 def _check_camera(config: CameraConfig, source: str) -> None:
