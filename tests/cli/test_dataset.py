@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.dataset.whole import write_dataset
 from xray_drake.cli import inspect as inspect_module
 from xray_drake.cli.main import app
-from xray_drake.dataset.manifest import Manifest, write_manifest
+from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardAttributes, write_shard
 
 
 def _sample(heap_seed: int) -> Sample:
@@ -50,20 +50,7 @@ def folder(tmp_path: Path) -> Path:
         width=32,
         scenario="name: tiny\n",
     )
-    write_manifest(tmp_path, manifest)
-    for shard in manifest.expected_shards():
-        write_shard(
-            tmp_path / shard.name,
-            [_sample(shard.first + i) for i in range(shard.count)],
-            ShardAttributes(
-                split=shard.split,
-                scenario=manifest.scenario,
-                package_version="0.1.0",
-                drake_version="1.51.1",
-                dataset=manifest.fingerprint(),
-            ),
-        )
-    return tmp_path
+    return write_dataset(tmp_path, manifest, _sample)
 
 
 def _run(*arguments: object) -> Any:

@@ -9,10 +9,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from tests.dataset.whole import write_dataset
 from xray_drake.cli.evaluate import app
-from xray_drake.dataset.manifest import Manifest, write_manifest
+from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardAttributes, write_shard
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
 
@@ -64,20 +64,7 @@ def folder(tmp_path: Path) -> Path:
         width=32,
         scenario="name: tiny\n",
     )
-    write_manifest(tmp_path, manifest)
-    for shard in manifest.expected_shards():
-        write_shard(
-            tmp_path / shard.name,
-            [_sample(shard.first + i) for i in range(shard.count)],
-            ShardAttributes(
-                split=shard.split,
-                scenario=manifest.scenario,
-                package_version="0.1.0",
-                drake_version="1.51.1",
-                dataset=manifest.fingerprint(),
-            ),
-        )
-    return tmp_path
+    return write_dataset(tmp_path, manifest, _sample)
 
 
 class _Networks(ModuleType):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.dataset.conftest import synthetic_sample
+from tests.dataset.whole import write_dataset
 from xray_drake.dataset.augmentation import DepthNoise
 from xray_drake.dataset.manifest import (
     DatasetError,
@@ -18,10 +19,8 @@ from xray_drake.dataset.manifest import (
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.shards import (
-    ShardAttributes,
     ShardError,
     read_shard,
-    write_shard,
 )
 from xray_drake.dataset.virtual import is_virtual
 from xray_drake.occupancy.networks.inputs import (
@@ -73,20 +72,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         width=SHAPE[1],
         scenario="name: tiny\n",
     )
-    write_manifest(folder, manifest)
-    for shard in manifest.expected_shards():
-        write_shard(
-            folder / shard.name,
-            [_sample(shard.first + i) for i in range(shard.count)],
-            ShardAttributes(
-                split=shard.split,
-                scenario=manifest.scenario,
-                package_version="0.1.0",
-                drake_version="1.51.1",
-                dataset=manifest.fingerprint(),
-            ),
-        )
-    return folder
+    return write_dataset(folder, manifest, _sample)
 
 
 @pytest.fixture
