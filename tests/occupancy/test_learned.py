@@ -100,9 +100,8 @@ def by_hand(
             torch.from_numpy(size_features(size, mask, CAMERA))[None],
         )
     answer = torch.sigmoid(logits[:, [OUTPUTS.index(output)]])
-    return nn.functional.interpolate(answer, SHAPE, mode="bilinear")[
-        0, 0
-    ].numpy()
+    enlarged = nn.functional.interpolate(answer, SHAPE, mode="bicubic")
+    return enlarged.clamp(0, 1)[0, 0].numpy()
 
 
 class Mirror(nn.Module):
