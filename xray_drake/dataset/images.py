@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xray_drake.dataset.sample import Sample
+
 _MIN_SHARE = 0.5
 """A block of pixels has a reading where at least this share of it has, and is
 in a mask where more than this share of it is."""
@@ -32,6 +34,17 @@ class LabelledImages:
         """``(height, width)``."""
         height, width = self.depth.shape
         return height, width
+
+
+def labelled_images(sample: Sample) -> LabelledImages:
+    """Returns what a network learns of a sample."""
+    return LabelledImages(
+        depth=sample.depth,
+        modal=sample.target_modal,
+        amodal=sample.target_amodal,
+        occupancy=sample.occupancy,
+        focal_length=float(sample.intrinsics[0, 0]),
+    )
 
 
 def downscale(images: LabelledImages, factor: int) -> LabelledImages:

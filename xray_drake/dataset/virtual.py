@@ -186,7 +186,7 @@ def virtual_sample(
     """
     config = config or LabelConfig()
     camera, scene = sample.camera, sample.depth_without_target
-    points = camera.unproject(np.where(scene > 0, scene, np.nan))
+    under = _under_objects(scene, camera, config)
     most = 0.0 if rng.random() < _HIDDEN else _MOST_VISIBLE
     found = None
     for attempt in range(_TARGETS * _PLACES):
@@ -194,7 +194,7 @@ def virtual_sample(
             target = (
                 draw_target(rng) if size is None else make_target("box", size)
             )
-        X_WT = _place(target, points, rng, config)
+        X_WT = _place(target, under, rng, config)
         if X_WT is None:
             continue
         alone = target_depth(target, X_WT, camera)
@@ -234,27 +234,34 @@ def virtual_sample(
     )
 
 
+def _under_objects(
+    scene: np.ndarray, camera: PinholeCamera, config: LabelConfig
+) -> np.ndarray:
+    """(n, 2) x and y of what is seen higher than the floor in the bin, m."""
+    points = camera.unproject(np.where(scene > 0, scene, np.nan))
+    x_low, x_high, y_low, y_high = config.floor
+    inside = (
+        (points[..., 2] > 0.01)
+        & (points[..., 0] > x_low)
+        & (points[..., 0] < x_high)
+        & (points[..., 1] > y_low)
+        & (points[..., 1] < y_high)
+    )
+    return points[inside][:, :2]
+
+
 def _place(
     target: VirtualTarget,
-    points: np.ndarray,
+    under: np.ndarray,
     rng: np.random.Generator,
     config: LabelConfig,
 ) -> np.ndarray | None:
     """Draws a (4, 4) pose on the floor, or None if it leaves the bin."""
     x_low, x_high, y_low, y_high = config.floor
     if rng.random() < _UNDER_OBJECTS:
-        inside = (
-            (points[..., 2] > 0.01)
-            & (points[..., 0] > x_low)
-            & (points[..., 0] < x_high)
-            & (points[..., 1] > y_low)
-            & (points[..., 1] < y_high)
-        )
-        rows, columns = np.nonzero(inside)
-        if not len(rows):
+        if not len(under):
             return None
-        chosen = rng.integers(len(rows))
-        x, y = points[rows[chosen], columns[chosen], :2]
+        x, y = under[rng.integers(len(under))]
     else:
         x, y = rng.uniform(x_low, x_high), rng.uniform(y_low, y_high)
     yaw = rng.uniform(0, 2 * np.pi)

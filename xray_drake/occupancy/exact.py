@@ -8,6 +8,7 @@ from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.flat_target import FlatTarget
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.hidden import HiddenSearch
+from xray_drake.occupancy.observation import check_observation
 from xray_drake.occupancy.seen import count_seen
 from xray_drake.scene.object_model import ObjectModel
 
@@ -112,7 +113,12 @@ class ExactInference:
         """
         depth = np.asarray(depth, dtype=np.float32)
         mask = np.asarray(target_mask, dtype=bool)
-        _check(depth, mask, camera, self._target.thickness)
+        check_observation(depth, mask, camera)
+        if camera.X_WC[2, 3] <= self._target.thickness:
+            raise ValueError(
+                f"the camera must be above the target, not at z = "
+                f"{camera.X_WC[2, 3]:.3f} m"
+            )
         config = self.config
         heights = observed_heights(depth, camera, config.depth_tolerance)
         mask = self._within_floor(mask, camera)
@@ -151,31 +157,3 @@ class ExactInference:
         result = np.zeros_like(mask)
         result[rows[keep], columns[keep]] = True
         return result
-
-
-def _check(
-    depth: np.ndarray,
-    mask: np.ndarray,
-    camera: PinholeCamera,
-    thickness: float,
-) -> None:
-    if depth.shape != camera.shape:
-        raise ValueError(
-            f"the depth image is {depth.shape}, the camera's images are "
-            f"{camera.shape}"
-        )
-    if mask.shape != camera.shape:
-        raise ValueError(
-            f"the target mask is {mask.shape}, the camera's images are "
-            f"{camera.shape}"
-        )
-    if not ((depth > 0) & np.isfinite(depth)).any():
-        raise ValueError(
-            "the depth image has no reading at all (every pixel is 0, inf or "
-            "NaN); check the sensor's range and that it has rendered"
-        )
-    if camera.X_WC[2, 3] <= thickness:
-        raise ValueError(
-            f"the camera must be above the target, not at z = "
-            f"{camera.X_WC[2, 3]:.3f} m"
-        )

@@ -14,6 +14,7 @@ from xray_drake.occupancy.label_kernels import (
     relative_depths,
     rotate_target,
 )
+from xray_drake.occupancy.observation import check_shapes
 
 __all__ = ["Label", "LabelConfig", "occupancy_label"]
 
@@ -170,16 +171,11 @@ def _check(
     camera: PinholeCamera,
     config: LabelConfig,
 ) -> None:
-    images = [("target's depth image", target), ("scene's depth image", scene)]
+    depths = {"target's depth image": target, "scene's depth image": scene}
+    check_shapes(depths, camera)
     if observed is not None:
-        images.append(("observed modal mask", np.asarray(observed)))
-    for name, image in images:
-        if image.shape != camera.shape:
-            raise ValueError(
-                f"the {name} is {image.shape}, the camera's images are "
-                f"{camera.shape}"
-            )
-    for name, image in images[:2]:
+        check_shapes({"observed modal mask": np.asarray(observed)}, camera)
+    for name, image in depths.items():
         if (image < 0).any():
             raise ValueError(
                 f"the {name} has a negative depth ({np.nanmin(image):.3f} m)"

@@ -22,6 +22,7 @@ from xray_drake.occupancy.aspect import (
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 from xray_drake.occupancy.networks.build import build_network, channels_last
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
+from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.inputs import (
     CHANNELS,
     SIZE_FEATURES,
@@ -34,6 +35,7 @@ from xray_drake.occupancy.networks.weights import (
     load_weights,
     read_card,
 )
+from xray_drake.occupancy.observation import check_observation
 from xray_drake.resources import models_dir
 
 Output = Literal["occupancy", "posterior"]
@@ -121,7 +123,12 @@ class LearnedInference:
         """
         depth = np.asarray(depth, dtype=np.float32)
         mask = np.asarray(target_mask, dtype=bool)
-        _check(depth, mask, camera)
+        check_observation(depth, mask, camera)
+        if camera.height % SIZE_STEP or camera.width % SIZE_STEP:
+            raise ValueError(
+                f"a network takes images whose sides are multiples of "
+                f"{SIZE_STEP}, not {camera.shape}"
+            )
         return OccupancyDistribution(
             data=self._respond(depth, mask, camera),
             support_threshold=SUPPORT_THRESHOLD,
@@ -245,22 +252,3 @@ def _nearest(folder: Path, target_size: np.ndarray) -> Path:
             "'xray-drake train', or give a file of weights"
         )
     return by_ratio[nearest_ratio(aspect_ratio(target_size), list(by_ratio))]
-
-
-def _check(depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera) -> None:
-    for name, image in (("depth image", depth), ("target mask", mask)):
-        if image.shape != camera.shape:
-            raise ValueError(
-                f"the {name} is {image.shape}, the camera's images are "
-                f"{camera.shape}"
-            )
-    if camera.height % 32 or camera.width % 32:
-        raise ValueError(
-            f"a network takes images whose sides are multiples of 32, not "
-            f"{camera.shape}"
-        )
-    if not ((depth > 0) & np.isfinite(depth)).any():
-        raise ValueError(
-            "the depth image has no reading: look at the sensor, or at what "
-            "is connected to the depth port"
-        )

@@ -6,9 +6,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from xray_drake.dataset.augmentation import DepthNoise
-from xray_drake.dataset.images import LabelledImages
+from xray_drake.dataset.images import labelled_images
 from xray_drake.dataset.sample import Sample
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.seeding import stream
+
+
+def believed_camera(
+    camera: PinholeCamera, height_offset: float, focal_error: float
+) -> PinholeCamera:
+    """Returns a camera as a wrong calibration has it.
+
+    Args:
+        camera: as it is.
+        height_offset: m, by which it is believed to be higher.
+        focal_error: share by which its focal length is believed to be larger.
+    """
+    X_WC = np.array(camera.X_WC)
+    X_WC[2, 3] += height_offset
+    K = np.array(camera.intrinsics)
+    K[[0, 1], [0, 1]] *= 1 + focal_error
+    return replace(camera, intrinsics=K, X_WC=X_WC)
 
 
 @dataclass(frozen=True)
@@ -42,25 +60,16 @@ class Disturbance:
         """Returns the sample with depth, pose or intrinsics changed."""
         if self.noise is not None:
             sample = replace(sample, depth=self._seen(sample, self.noise))
-        if self.height_offset:
-            X_WC = sample.X_WC.copy()
-            X_WC[2, 3] += self.height_offset
-            sample = replace(sample, X_WC=X_WC)
-        if self.focal_error:
-            intrinsics = sample.intrinsics.copy()
-            intrinsics[[0, 1], [0, 1]] *= 1 + self.focal_error
-            sample = replace(sample, intrinsics=intrinsics)
-        return sample
+        if not (self.height_offset or self.focal_error):
+            return sample
+        camera = believed_camera(
+            sample.camera, self.height_offset, self.focal_error
+        )
+        return replace(sample, X_WC=camera.X_WC, intrinsics=camera.intrinsics)
 
     def _seen(self, sample: Sample, noise: DepthNoise) -> np.ndarray:
         key = sample.key
-        images = LabelledImages(
-            depth=sample.depth,
-            modal=sample.target_modal,
-            amodal=sample.target_amodal,
-            occupancy=sample.occupancy,
-            focal_length=float(sample.intrinsics[0, 0]),
-        )
+        images = labelled_images(sample)
         rng = stream(
             self.seed, "sensor", key.heap_seed, key.view, key.num_dropped
         )

@@ -4,6 +4,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from xray_drake.occupancy.metrics import POSITIVE, TOLERANCE, PixelCounts
+
 _BETA = 0.1
 """Smaller errors count by their square: PROTOCOL.md asks for less than 0.2."""
 
@@ -13,10 +15,6 @@ _AREA = 64.0
 _ENTROPY_WEIGHT = 2.0
 _POSTERIOR_WEIGHT = 10.0
 """A target fills about one pixel in a hundred."""
-
-POSITIVE = 0.1
-CLOSE = 0.2
-"""PROTOCOL.md, "Metrics"."""
 
 
 def robust_loss(logits: Tensor, label: Tensor) -> Tensor:
@@ -66,9 +64,9 @@ def posterior_loss(logits: Tensor, amodal: Tensor, real: Tensor) -> Tensor:
 
 
 def pixel_counts(output: Tensor, label: Tensor) -> Tensor:
-    """Returns (5,): TP, TN, positives, negatives, union; PROTOCOL.md."""
+    """Returns (5,), the fields of ``PixelCounts`` in their order."""
     positive = label > POSITIVE
-    close = (output - label).abs() < CLOSE
+    close = (output - label).abs() < TOLERANCE
     return torch.stack(
         [
             (positive & close).sum(),
@@ -82,11 +80,8 @@ def pixel_counts(output: Tensor, label: Tensor) -> Tensor:
 
 def summary(counts: Tensor) -> dict[str, float]:
     """Returns balanced accuracy and IoU of (5,) pooled counts."""
-    tp, tn, positives, negatives, union = counts.tolist()
-    nan = float("nan")
+    pooled = PixelCounts(*(int(count) for count in counts.tolist()))
     return {
-        "balanced_accuracy": (tp / positives + tn / negatives) / 2
-        if positives and negatives
-        else nan,
-        "iou": tp / union if union else nan,
+        "balanced_accuracy": pooled.balanced_accuracy,
+        "iou": pooled.iou,
     }

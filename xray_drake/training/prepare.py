@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from xray_drake.dataset.augmentation import DepthNoise, resize_mask
-from xray_drake.dataset.images import LabelledImages
+from xray_drake.dataset.images import labelled_images
 from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
@@ -35,6 +35,7 @@ from xray_drake.occupancy.networks.inputs import (
 )
 from xray_drake.seeding import stream
 from xray_drake.threads import limit_threads
+from xray_drake.training.disturbance import believed_camera
 
 IMAGES = (*CHANNELS, "occupancy", "amodal")
 """What an item's 8-bit images are, in [0, 255]."""
@@ -102,7 +103,6 @@ def plan(
         folder: where the items go.
         config: how they are made.
         validation_share: share of the heaps whose items are held out.
-
         incomplete: leave out shards that are missing.
 
     Raises:
@@ -249,13 +249,7 @@ def make_item(
     The sensor's noise and the errors of calibration are drawn here.
     """
     camera = sample.camera
-    seen = LabelledImages(
-        depth=sample.depth,
-        modal=sample.target_modal,
-        amodal=sample.target_amodal,
-        occupancy=sample.occupancy,
-        focal_length=float(camera.intrinsics[0, 0]),
-    )
+    seen = labelled_images(sample)
     if rng.random() < config.noisy:
         seen = config.noise(seen, rng)
     if rng.random() < config.mask_errors and np.count_nonzero(seen.modal) > 40:
@@ -283,7 +277,8 @@ def _miscalibrated(
     R = R * np.sign(np.diag(R))
     X_WC = np.array(camera.X_WC)
     X_WC[:3, :3] = X_WC[:3, :3] @ R
-    X_WC[2, 3] += rng.normal(0, config.height_error)
-    K = np.array(camera.intrinsics)
-    K[[0, 1], [0, 1]] *= 1 + rng.normal(0, config.focal_error)
-    return replace(camera, intrinsics=K, X_WC=X_WC)
+    return believed_camera(
+        replace(camera, X_WC=X_WC),
+        rng.normal(0, config.height_error),
+        rng.normal(0, config.focal_error),
+    )

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.label_config import LabelConfig
 
 CHANNELS = ("cover", "height", "reading", "modal", "floor")
@@ -17,6 +18,9 @@ CHANNELS = ("cover", "height", "reading", "modal", "floor")
 
 SIZE_FEATURES = ("length", "width", "thickness", "hidden", "visible")
 """Of :func:`size_features`."""
+
+_X_LOW, _X_HIGH, _Y_LOW, _Y_HIGH = LabelConfig().floor
+_FLOOR = Floor((_X_LOW, _X_HIGH), (_Y_LOW, _Y_HIGH))
 
 _COVER_WIDTH = 0.002
 """m above and below the target's top, over which "cover" goes from 0 to 1."""
@@ -40,15 +44,10 @@ def heights_above_floor(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     Returns:
         (H, W) float32, m; NaN where there is no reading.
     """
-    u_slope, v_slope, offset = camera.pixel_to_ray[2]
-    columns = np.arange(camera.width, dtype=np.float32) * np.float32(u_slope)
-    rows = np.arange(camera.height, dtype=np.float32) * np.float32(v_slope)
-    drop = columns[None, :] + (rows + np.float32(offset))[:, None]
-    depth = np.asarray(depth, dtype=np.float32)
-    valid = (depth > 0) & np.isfinite(depth)
-    heights = np.where(valid, depth, np.float32(np.nan))
-    heights *= drop
-    heights += np.float32(camera.X_WC[2, 3])
+    heights = observed_heights(
+        np.asarray(depth, dtype=np.float32), camera, offset=0.0
+    )
+    heights[np.isneginf(heights)] = np.nan
     return heights
 
 
@@ -135,14 +134,10 @@ def _on_floor(camera: PinholeCamera, half: tuple[int, int]) -> np.ndarray:
     # At z = 0 a ray has gone −C_z/z; times −z, all is linear and positive.
     down = -z
     x, y = C[0] * down + C[2] * x, C[1] * down + C[2] * y
-    x_low, x_high, y_low, y_high = LabelConfig().floor
-    return (
-        (down > 0)
-        & (x >= x_low * down)
-        & (x <= x_high * down)
-        & (y >= y_low * down)
-        & (y <= y_high * down)
-    ).astype(np.float32)
+    inside = down > 0
+    for a, b, c in _FLOOR.half_planes(0.0).tolist():
+        inside &= a * x + b * y <= c * down
+    return inside.astype(np.float32)
 
 
 def _halved(image: np.ndarray, out: np.ndarray) -> None:

@@ -1,0 +1,49 @@
+"""What an inference can be asked about."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from xray_drake.geometry.camera import PinholeCamera
+
+
+def check_shapes(
+    images: Mapping[str, np.ndarray], camera: PinholeCamera
+) -> None:
+    """Refuses images that are not the camera's.
+
+    Args:
+        images: by what a message calls them.
+        camera: that they should be of.
+
+    Raises:
+        ValueError: one has another shape.
+    """
+    for name, image in images.items():
+        if image.shape != camera.shape:
+            raise ValueError(
+                f"the {name} is {image.shape}, the camera's images are "
+                f"{camera.shape}"
+            )
+
+
+def check_observation(
+    depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+) -> None:
+    """Refuses what nothing can be inferred from.
+
+    Args:
+        depth: (H, W) z-depth, m; 0, inf and NaN are no reading.
+        mask: (H, W) bool.
+        camera: of both.
+
+    Raises:
+        ValueError: images of another shape, or a depth image without any
+            reading.
+    """
+    check_shapes({"depth image": depth, "target mask": mask}, camera)
+    if not ((depth > 0) & np.isfinite(depth)).any():
+        raise ValueError(
+            "the depth image has no reading at all (every pixel is 0, inf or "
+            "NaN); check the sensor's range and that it has rendered"
+        )
