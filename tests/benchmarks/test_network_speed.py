@@ -14,7 +14,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, occluders
 from xray_drake.occupancy.learned import default_weights, load_inference
-from xray_drake.occupancy.networks.build import build_network
+from xray_drake.occupancy.networks.build import build_network, channels_last
 from xray_drake.occupancy.networks.weights import read_card
 
 SIZE = np.array([0.0424, 0.0212, 0.005])
@@ -45,10 +45,15 @@ def test_inference_of_an_image(
     assert answer.data.shape == camera.shape
 
 
-def test_forward_pass_alone(benchmark: BenchmarkFixture) -> None:
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_forward_pass_alone(
+    benchmark: BenchmarkFixture, dtype: torch.dtype
+) -> None:
     card = read_card(default_weights())
     net = build_network(card.architecture, card.options).fused()  # type: ignore[operator]
-    image, size = torch.rand(1, 5, 192, 256), torch.rand(1, 5)
+    net = channels_last(net.to(dtype))
+    fine, coarse = torch.rand(1, 2, 384, 512), torch.rand(1, 3, 96, 128)
+    inputs = [each.to(dtype) for each in (fine, coarse, torch.rand(1, 5))]
     with torch.inference_mode():
-        answer = benchmark(net, image, size)
-    assert answer.shape == (1, 2, 192, 256)
+        answer = benchmark(net, *inputs)
+    assert answer.shape == (1, 2, 384, 512)

@@ -2,9 +2,13 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from xray_drake.occupancy.networks.build import build_network
+from xray_drake.occupancy.networks.build import build_network, fast_dtype
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
-from xray_drake.occupancy.networks.inputs import CHANNELS, SIZE_FEATURES
+from xray_drake.occupancy.networks.inputs import (
+    COARSE,
+    FINE,
+    SIZE_FEATURES,
+)
 
 _SMALL = {"widths": (8, 8, 12, 16), "depths": (1, 1, 1, 2)}
 
@@ -23,15 +27,18 @@ def _network(seed: int = 0, **options: object) -> CompactNet:
     return network
 
 
-def _inputs(batch: int = 2, shape: tuple[int, int] = (32, 48)) -> list[Tensor]:
+def _inputs(batch: int = 2, shape: tuple[int, int] = (64, 96)) -> list[Tensor]:
     generator = torch.Generator().manual_seed(1)
+    height, width = shape
+    quarter = height // 4, width // 4
     return [
-        torch.rand(batch, len(CHANNELS), *shape, generator=generator),
+        torch.rand(batch, len(FINE), height, width, generator=generator),
+        torch.rand(batch, len(COARSE), *quarter, generator=generator),
         torch.randn(batch, len(SIZE_FEATURES), generator=generator),
     ]
 
 
-@pytest.mark.parametrize("shape", [(16, 16), (32, 48), (48, 16)])
+@pytest.mark.parametrize("shape", [(32, 32), (64, 96), (96, 32)])
 @pytest.mark.parametrize("batch", [1, 3])
 @torch.no_grad()
 def test_two_values_for_every_pixel(batch: int, shape: tuple[int, int]) -> None:
@@ -50,12 +57,75 @@ def test_the_shipped_network_is_small_and_begins_with_empty_images() -> None:
     assert answer.mean() < 0.15
 
 
-@pytest.mark.parametrize("shape", [(31, 32), (32, 24), (8, 16), (17, 33)])
-def test_sides_that_are_no_multiples_of_16_are_refused(
+@pytest.mark.parametrize(
+    "shape", [(31, 32), (32, 48), (48, 32), (16, 32), (36, 64), (33, 65)]
+)
+def test_sides_that_are_no_multiples_of_32_are_refused(
     shape: tuple[int, int],
 ) -> None:
     with pytest.raises((RuntimeError, ValueError)):
         _network().eval()(*_inputs(1, shape))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (16, 1), (8, 12), (24, 16)])
+def test_coarse_images_of_another_size_are_refused(
+    shape: tuple[int, int],
+) -> None:
+    fine, _, size = _inputs(1)
+    with pytest.raises((RuntimeError, ValueError)):
+        _network().eval()(fine, torch.zeros(1, len(COARSE), *shape), size)
+
+
+@torch.no_grad()
+def test_what_is_sharp_goes_to_the_pixels_it_is_of() -> None:
+    network = _network().eval()
+    fine, coarse, size = _inputs()
+    nn.init.zeros_(network.head.weight)
+    assert network.head.bias is not None
+    nn.init.normal_(network.head.bias)
+    answer = network(fine, coarse, size)
+    # 4 × 4 pixels by themselves: rows and columns of blocks, and in them.
+    blocks = fine.unflatten(3, (24, 4)).unflatten(2, (16, 4))
+    weight = network.sharp.weight.view(len(OUTPUTS), 4, 4, len(FINE), 4, 4)
+    expected = torch.einsum("ovuijk,birjck->borvcu", weight, blocks)
+    assert network.sharp.bias is not None
+    bias = (network.sharp.bias + network.head.bias).view(len(OUTPUTS), 4, 4)
+    expected += bias[None, :, None, :, None, :]
+    assert answer.std() > 0.1
+    torch.testing.assert_close(
+        answer, expected.reshape(answer.shape), rtol=0, atol=1e-5
+    )
+
+
+@torch.no_grad()
+def test_every_pixel_of_every_image_is_seen() -> None:
+    network = _network().eval()
+    nn.init.zeros_(network.sharp.weight)
+    images = _inputs(1, (32, 32))
+    before = network(*images)
+    for index in range(2):
+        shape = images[index].shape[1:]
+        side = shape[1] // 8
+        for channel in range(shape[0]):
+            for v in range(side):
+                for u in range(side):
+                    changed = [image.clone() for image in images]
+                    changed[index][:, channel, 3 * side + v, 4 * side + u] += 3
+                    change = (network(*changed) - before).abs()
+                    assert change.max() > 1e-3, (index, channel, v, u)
+
+
+@torch.no_grad()
+def test_the_layout_in_memory_changes_no_answer() -> None:
+    network = _network().eval()
+    fine, coarse, size = _inputs()
+    last = [
+        image.contiguous(memory_format=torch.channels_last)
+        for image in (fine, coarse)
+    ]
+    torch.testing.assert_close(
+        network(*last, size), network(fine, coarse, size), rtol=0, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("options", [{}, {"depths": (2, 1, 1, 1)}])
@@ -78,25 +148,26 @@ def test_fusing_changes_no_answer(options: dict[str, object]) -> None:
 
 @torch.no_grad()
 def test_the_size_matters_once_it_is_learned() -> None:
-    image, size = _inputs(1)
+    *image, size = _inputs(1)
     fresh = CompactNet(**_SMALL).eval()
     other = size + torch.eye(len(SIZE_FEATURES))
-    images = image.expand(len(other), -1, -1, -1)
-    for answer in fresh(images, other):
-        torch.testing.assert_close(answer, fresh(image, size)[0])
+    images = [each.expand(len(other), -1, -1, -1) for each in image]
+    for answer in fresh(*images, other):
+        torch.testing.assert_close(answer, fresh(*image, size)[0])
     network = _network().eval()
-    base = network(image, size)[0]
-    for name, answer in zip(SIZE_FEATURES, network(images, other), strict=True):
+    base = network(*image, size)[0]
+    answers = network(*images, other)
+    for name, answer in zip(SIZE_FEATURES, answers, strict=True):
         assert (answer - base).abs().max() > 0.01, name
 
 
 @torch.no_grad()
 def test_images_of_a_batch_do_not_mix_in_use() -> None:
     network = _network().eval()
-    image, size = _inputs(3)
-    together = network(image, size)
+    inputs = _inputs(3)
+    together = network(*inputs)
     for i in range(3):
-        alone = network(image[i : i + 1], size[i : i + 1])
+        alone = network(*(each[i : i + 1] for each in inputs))
         torch.testing.assert_close(
             together[i : i + 1], alone, rtol=1e-4, atol=1e-5
         )
@@ -105,13 +176,15 @@ def test_images_of_a_batch_do_not_mix_in_use() -> None:
 @torch.no_grad()
 def test_the_mean_alone_tells_a_pixel_of_what_is_far_away() -> None:
     network = _network().eval()
-    image, size = _inputs(1, (16, 512))
-    changed = image.clone()
-    changed[:, :, :, 256:] += 5.0
+    fine, coarse, size = _inputs(1, (32, 1024))
+    other_fine, other_coarse = fine.clone(), coarse.clone()
+    other_fine[:, :, :, 512:] += 5.0
+    other_coarse[:, :, :, 128:] += 5.0
 
     def change() -> Tensor:
-        before, after = network(image, size), network(changed, size)
-        return (after - before)[0, :, :, :64].abs()
+        before = network(fine, coarse, size)
+        after = network(other_fine, other_coarse, size)
+        return (after - before)[0, :, :, :128].abs()
 
     assert change().mean() > 1e-4
     nn.init.zeros_(network.overall.weight)
@@ -122,14 +195,17 @@ def test_the_mean_alone_tells_a_pixel_of_what_is_far_away() -> None:
 @torch.no_grad()
 def test_each_level_is_joined_to_what_comes_from_below(level: int) -> None:
     network = _network().eval()
-    image, size = _inputs(1)
+    # Only by way of the features.
+    nn.init.zeros_(network.sharp.weight)
+    fine, coarse, size = _inputs(1)
     grow = getattr(network, f"grow{level}")
-    before = network(image, size)
+    before = network(fine, coarse, size)
     nn.init.zeros_(grow.weight)
     nn.init.zeros_(grow.bias)
-    alone = network(image, size)
+    alone = network(fine, coarse, size)
     assert (alone - before).abs().max() > 0.01
-    assert (network(1 - image, size) - alone).abs().max() > 0.01
+    for other in ((1 - fine, coarse), (fine, 1 - coarse)):
+        assert (network(*other, size) - alone).abs().max() > 0.01
 
 
 def test_all_of_it_learns() -> None:
@@ -145,11 +221,16 @@ def test_each_answer_learns_from_its_own_loss() -> None:
     for index in range(len(OUTPUTS)):
         network.zero_grad()
         network(*_inputs())[:, index].square().mean().backward()
-        gradient = network.head.bias.grad
-        assert gradient is not None
-        # Pixels of 2 × 2 lie side by side in the channels.
-        own = gradient.view(len(OUTPUTS), 4).abs().sum(dim=1) > 0
-        assert own.tolist() == [i == index for i in range(len(OUTPUTS))]
+        for layer in (network.head, network.sharp):
+            assert layer.bias is not None
+            gradient = layer.bias.grad
+            assert gradient is not None
+            # Pixels of 4 × 4 lie side by side in the channels.
+            own = gradient.view(len(OUTPUTS), 16) != 0
+            assert own.all(dim=1).tolist() == own.any(dim=1).tolist()
+            assert own.all(dim=1).tolist() == [
+                i == index for i in range(len(OUTPUTS))
+            ]
 
 
 @torch.no_grad()
@@ -173,6 +254,7 @@ def test_a_network_is_built_by_its_name_and_options() -> None:
     [
         ("unet", {}, "no network is called 'unet': compact, fcn_resnet50"),
         ("compact", {"width": 8}, "compact: .*'width'"),
+        ("compact", {"in_channels": 5}, "compact: .*'in_channels'"),
         ("compact", {"widths": [8, 8]}, "unpack"),
         ("compact", {"depths": [1, 1, 1, 1.5]}, "compact: .*float"),
     ],
@@ -183,3 +265,30 @@ def test_what_cannot_be_built_is_one_line(
     with pytest.raises(ValueError, match=words) as error:
         build_network(architecture, options)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        ({}, torch.float32),
+        ({"avx512_f": True, "avx512_bf16": False}, torch.float32),
+        ({"avx512_bf16": True, "amx_bf16": False}, torch.bfloat16),
+        ({"avx512_bf16": False, "amx_bf16": True}, torch.bfloat16),
+    ],
+)
+def test_the_type_is_what_the_processor_is_fast_in(
+    monkeypatch: pytest.MonkeyPatch,
+    found: dict[str, bool],
+    expected: torch.dtype,
+) -> None:
+    monkeypatch.setattr(
+        torch.cpu, "get_capabilities", lambda: found, raising=False
+    )
+    assert fast_dtype() == expected
+
+
+def test_a_torch_that_does_not_know_the_processor_computes_in_float32(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)
+    assert fast_dtype() == torch.float32

@@ -8,14 +8,16 @@ from hypothesis import strategies as st
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.networks.inputs import (
-    CHANNELS,
+    COARSE,
+    FINE,
     SIZE_FEATURES,
     geometry_input,
     heights_above_floor,
     size_features,
 )
 
-_COVER, _HEIGHT, _READING, _MODAL, _FLOOR = range(len(CHANNELS))
+_COVER, _MODAL = range(len(FINE))
+_HEIGHT, _READING, _FLOOR = range(len(COARSE))
 _LONG, _SHORT, _THICKNESS, _HIDDEN, _VISIBLE = range(len(SIZE_FEATURES))
 
 _BIN = (-0.25, 0.25, -0.20, 0.20)
@@ -116,7 +118,8 @@ def test_only_what_is_higher_than_the_targets_top_covers_it(
 ) -> None:
     def cover(z: float) -> np.ndarray:
         depth = camera.plane_depth(z)
-        return geometry_input(depth, _blank(camera), camera, thickness)[_COVER]
+        images = geometry_input(depth, _blank(camera), camera, thickness)
+        return images.fine[_COVER]
 
     assert (cover(thickness + above) == 1).all()
     assert (cover(thickness - above) == 0).all()
@@ -129,18 +132,24 @@ def test_only_what_is_higher_than_the_targets_top_covers_it(
 def test_what_has_no_reading_covers_nothing(nothing: float) -> None:
     camera = _CAMERAS["tilted"]
     depth = camera.plane_depth(0.05)
-    depth[10:20, 8:16] = nothing
-    image = geometry_input(depth, _blank(camera), camera, 0.005)
-    lost = np.zeros((24, 32), bool)
-    lost[5:10, 4:8] = True
-    np.testing.assert_array_equal(image[_COVER], ~lost)
-    np.testing.assert_array_equal(image[_READING], ~lost)
-    assert (image[_HEIGHT][lost] == 0).all()
-    assert np.isfinite(image).all()
+    depth[8:20, 12:20] = nothing
+    fine, coarse = geometry_input(depth, _blank(camera), camera, 0.005)
+    lost = np.zeros(camera.shape, bool)
+    lost[8:20, 12:20] = True
+    np.testing.assert_array_equal(fine[_COVER], ~lost)
+    lost = np.zeros((12, 16), bool)
+    lost[2:5, 3:5] = True
+    np.testing.assert_array_equal(coarse[_READING], ~lost)
+    assert (coarse[_HEIGHT][lost] == 0).all()
+    assert (coarse[_HEIGHT][~lost] > 0.3).all()
+    assert np.isfinite(fine).all()
+    assert np.isfinite(coarse).all()
 
 
 @pytest.mark.parametrize("camera", _CAMERAS.values(), ids=_CAMERAS)
-def test_pixels_are_means_of_four(camera: PinholeCamera) -> None:
+def test_each_pixel_is_its_own_or_the_mean_of_sixteen(
+    camera: PinholeCamera,
+) -> None:
     rng = np.random.default_rng(3)
     z = rng.uniform(-0.05, 0.3, camera.shape)
     # Many near the top of the target.
@@ -151,23 +160,25 @@ def test_pixels_are_means_of_four(camera: PinholeCamera) -> None:
     depth[rng.random(camera.shape) < 0.2] = 0
     depth[(depth < 0) | (depth > 3)] = 0
     mask = rng.random(camera.shape) < 0.5
-    image = geometry_input(depth.astype(np.float32), mask, camera, 0.01)
-    assert image.shape == (5, 24, 32)
-    assert image.dtype == np.float32
-    for row in range(24):
-        for column in range(32):
-            values = np.zeros(4)
-            for v in (2 * row, 2 * row + 1):
-                for u in (2 * column, 2 * column + 1):
-                    values[_MODAL] += mask[v, u]
-                    if depth[v, u] == 0:
-                        continue
-                    values[_READING] += 1
-                    values[_COVER] += np.clip((z[v, u] - 0.008) / 0.004, 0, 1)
-                    values[_HEIGHT] += np.clip((z[v, u] + 0.02) / 0.22, 0, 1)
-            np.testing.assert_allclose(
-                image[:4, row, column], values / 4, rtol=0, atol=1e-3
+    fine, coarse = geometry_input(depth.astype(np.float32), mask, camera, 0.01)
+    assert fine.shape == (2, 48, 64)
+    assert coarse.shape == (3, 12, 16)
+    assert fine.dtype == coarse.dtype == np.float32
+    sums = np.zeros((2, 12, 16))
+    for v in range(48):
+        for u in range(64):
+            assert fine[_MODAL, v, u] == mask[v, u]
+            if depth[v, u] == 0:
+                assert fine[_COVER, v, u] == 0
+                continue
+            cover = np.clip((z[v, u] - 0.008) / 0.004, 0, 1)
+            assert fine[_COVER, v, u] == pytest.approx(cover, abs=2e-3)
+            sums[_HEIGHT, v // 4, u // 4] += np.clip(
+                (z[v, u] + 0.02) / 0.22, 0, 1
             )
+            sums[_READING, v // 4, u // 4] += 1
+    assert len(np.unique(sums[_READING])) > 5
+    np.testing.assert_allclose(coarse[:2], sums / 16, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("camera", _CAMERAS.values(), ids=_CAMERAS)
@@ -175,13 +186,13 @@ def test_the_floor_is_where_rays_meet_it_within_the_bin(
     camera: PinholeCamera,
 ) -> None:
     depth, mask = _noise(camera), _blank(camera)
-    floor = geometry_input(depth, mask, camera, 0.005)[_FLOOR]
+    floor = geometry_input(depth, mask, camera, 0.005).coarse[_FLOOR]
     R, C = camera.X_WC[:3, :3], camera.X_WC[:3, 3]
-    expected = np.zeros((24, 32))
-    for row in range(24):
-        for column in range(32):
-            # The middle of its four pixels.
-            pixel = np.array([2 * column + 0.5, 2 * row + 0.5, 1])
+    expected = np.zeros((12, 16))
+    for row in range(12):
+        for column in range(16):
+            # The middle of its sixteen pixels.
+            pixel = np.array([4 * column + 1.5, 4 * row + 1.5, 1])
             ray = R @ np.linalg.solve(camera.intrinsics, pixel)
             if ray[2] < 0:
                 x, y, _ = C - C[2] / ray[2] * ray
@@ -193,22 +204,31 @@ def test_the_floor_is_where_rays_meet_it_within_the_bin(
 
 
 def test_the_floor_is_where_the_camera_projects_the_bin() -> None:
-    camera = _CAMERAS["low"]
-    floor = geometry_input(_noise(camera), _blank(camera), camera, 0.005)[
-        _FLOOR
-    ]
+    camera = _camera(
+        size=(128, 96),
+        radius=0.7,
+        tilt=6,
+        azimuth=230,
+        roll=-6,
+        focal_length=140,
+    )
+    images = geometry_input(_noise(camera), _blank(camera), camera, 0.005)
+    floor = images.coarse[_FLOOR]
     low, high = np.array(_BIN[::2]), np.array(_BIN[1::2])
+    found = []
     for x, y in np.random.default_rng(0).uniform(
         1.1 * low, 1.1 * high, (300, 2)
     ):
         u, v, _ = camera.project(np.array([x, y, 0.0]))
-        column, row = round((u - 0.5) / 2), round((v - 0.5) / 2)
+        column, row = round((u - 1.5) / 4), round((v - 1.5) / 4)
         beyond = np.abs([x, y]) - high
         if np.abs(beyond).min() < 0.02 or not (
             0 <= row < 24 and 0 <= column < 32
         ):
             continue
-        assert floor[row, column] == (beyond < 0).all()
+        found.append((beyond < 0).all())
+        assert floor[row, column] == found[-1]
+    assert 0 < np.mean(found) < 1
 
 
 @given(

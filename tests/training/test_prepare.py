@@ -3,7 +3,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -24,19 +23,21 @@ from xray_drake.dataset.shards import (
 )
 from xray_drake.dataset.virtual import is_virtual
 from xray_drake.occupancy.networks.inputs import (
+    COARSE,
+    FINE,
     geometry_input,
     size_features,
 )
 from xray_drake.training import prepare as module
 from xray_drake.training.data import PreparedItems
+from xray_drake.training.items import Item
 from xray_drake.training.prepare import (
-    IMAGES,
     PrepareConfig,
-    make_item,
     open_prepared,
     plan,
     prepare,
     prepare_shard,
+    sample_item,
 )
 
 SHAPE = (64, 96)
@@ -103,8 +104,11 @@ def _prepare(
     return [path for _, path in jobs]
 
 
-def _bytes(path: Path) -> tuple[bytes, bytes]:
-    return path.read_bytes(), path.with_suffix(".npz").read_bytes()
+def _named(item: Item) -> dict[str, np.ndarray]:
+    """An item's images by their names."""
+    names = (*FINE, *COARSE, "occupancy", "amodal")
+    images = (*item.fine, *item.coarse, *item.labels)
+    return dict(zip(names, images, strict=True))
 
 
 def test_items_are_made_once(
@@ -114,25 +118,15 @@ def test_items_are_made_once(
     names = [f"train-{i:05d}.h5" for i in range(3)]
     assert sorted(made) == names
     assert len(set(files)) == 3
-    before = [_bytes(path) for path in files]
+    before = [path.read_bytes() for path in files]
     made.clear()
     assert _prepare(dataset, tmp_path) == files
     assert made == []
     files[1].unlink()
     assert _prepare(dataset, tmp_path) == files
     assert made == names[1:2]
-    assert [_bytes(path) for path in files] == before
-    assert len(list(tmp_path.iterdir())) == 6
-
-
-def test_vectors_that_were_removed_are_made_again(
-    dataset: Path, tmp_path: Path, made: list[str]
-) -> None:
-    files = _prepare(dataset, tmp_path)
-    files[1].with_suffix(".npz").unlink()
-    made.clear()
-    _prepare(dataset, tmp_path)
-    assert made == ["train-00001.h5"]
+    assert [path.read_bytes() for path in files] == before
+    assert sorted(tmp_path.iterdir()) == sorted(files)
 
 
 def test_what_was_begun_is_gone_on_with(
@@ -157,11 +151,12 @@ def test_the_bytes_of_items_do_not_depend_on_place_or_order(
     for name, order in (("a", shards), ("b", shards[::-1])):
         (tmp_path / name).mkdir()
         for shard in order:
-            path = tmp_path / name / f"{shard.stem}.npy"
+            path = tmp_path / name / f"{shard.stem}.npz"
             prepare_shard(shard, path, config, SHARE)
     for shard in shards:
         one, other = (
-            _bytes(tmp_path / name / f"{shard.stem}.npy") for name in "ab"
+            (tmp_path / name / f"{shard.stem}.npz").read_bytes()
+            for name in "ab"
         )
         assert one == other
 
@@ -197,7 +192,7 @@ def test_another_dataset_in_the_same_place_is_prepared_anew(
 @pytest.fixture(scope="module")
 def prepared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Items of the first shard, without errors; two virtual ones each."""
-    path = tmp_path_factory.mktemp("items") / "items.npy"
+    path = tmp_path_factory.mktemp("items") / "items.npz"
     prepare_shard(dataset / "train-00000.h5", path, EXACT, SHARE)
     return path
 
@@ -207,10 +202,12 @@ def test_items_are_the_samples_and_virtual_ones(
 ) -> None:
     items = open_prepared(prepared)
     samples = read_shard(dataset / "train-00000.h5")
-    assert items.images.dtype == np.uint8
     count = len(items.targets)
     assert len(samples) < count <= 3 * len(samples)
-    assert items.images.shape == (count, len(IMAGES), 32, 48)
+    assert items.shape == SHAPE
+    assert items.packed.dtype == np.uint8
+    assert items.packed.ndim == 1
+    assert len(items.ends) == len(items.held_out) == count
     assert items.sizes.shape == (count, 5)
     assert items.sizes.dtype == np.float32
     assert items.real.tolist() == [not is_virtual(n) for n in items.targets]
@@ -218,19 +215,26 @@ def test_items_are_the_samples_and_virtual_ones(
     assert len(rows) == len(samples)
     for row, sample in zip(rows, samples, strict=True):
         assert items.targets[row] == sample.target_name
-        image = items.images[row] / 255
+        item = items.item(row)
         inputs = geometry_input(
             sample.depth,
             sample.target_modal,
             sample.camera,
             float(sample.target_size[2]),
         )
-        np.testing.assert_allclose(image[:5], inputs, atol=0.5 / 255 + 1e-6)
-        for name, channel in (("occupancy", 5), ("target_amodal", 6)):
-            full = getattr(sample, name).astype(float)
-            blocks = full.reshape(32, 2, 48, 2).mean(axis=(1, 3))
+        assert inputs.fine.any(axis=(1, 2)).tolist() == [
+            True,
+            sample.target_modal.any(),
+        ]
+        for found, expected, levels in (
+            (item.fine[0], inputs.fine[0], 15),
+            (item.fine[1], sample.target_modal, np.inf),
+            (item.coarse, inputs.coarse, 255),
+            (item.labels[0], sample.occupancy, 255),
+            (item.labels[1], sample.target_amodal, np.inf),
+        ):
             np.testing.assert_allclose(
-                image[channel], blocks, atol=0.5 / 255 + 1e-6
+                found / 255, expected, rtol=0, atol=0.5 / levels + 1e-6
             )
         np.testing.assert_array_equal(
             items.sizes[row],
@@ -242,11 +246,13 @@ def test_items_are_the_samples_and_virtual_ones(
 
 def test_virtual_items_have_their_own_size_and_label(prepared: Path) -> None:
     items = open_prepared(prepared)
-    real, virtual = items.images[items.real], items.images[~items.real]
-    assert (virtual[:, 5].max(axis=(1, 2)) > 0).all()
-    assert (virtual[:, 6].max(axis=(1, 2)) > 0).all()
-    for image in virtual:
-        assert not any(np.array_equal(image[6], other[6]) for other in real)
+    real, virtual = (
+        [items.item(row).labels for row in np.flatnonzero(rows)]
+        for rows in (items.real, ~items.real)
+    )
+    for labels in virtual:
+        assert labels.any(axis=(1, 2)).all()
+        assert not any(np.array_equal(labels[1], other[1]) for other in real)
     assert len(np.unique(items.sizes[~items.real][:, :3], axis=0)) == len(
         virtual
     )
@@ -256,10 +262,41 @@ def test_no_virtual_items_are_made_if_none_are_wanted(
     dataset: Path, tmp_path: Path
 ) -> None:
     config = dataclasses.replace(EXACT, virtual=0)
-    prepare_shard(
-        dataset / "train-00000.h5", tmp_path / "items.npy", config, SHARE
-    )
-    assert open_prepared(tmp_path / "items.npy").real.tolist() == [True] * 4
+    path = tmp_path / "items.npz"
+    prepare_shard(dataset / "train-00000.h5", path, config, SHARE)
+    assert open_prepared(path).real.tolist() == [True] * 4
+
+
+def test_an_item_does_not_depend_on_the_order_of_unpacking(
+    prepared: Path,
+) -> None:
+    items = open_prepared(prepared)
+    count = len(items.ends)
+    forth = [items.item(row) for row in range(count)]
+    back = [items.item(row) for row in reversed(range(count))][::-1]
+    for one, other in zip(forth, back, strict=True):
+        for name, image in _named(one).items():
+            np.testing.assert_array_equal(image, _named(other)[name])
+    labels = {item.labels.tobytes() for item in forth}
+    assert len(labels) == count
+
+
+def test_a_damaged_file_is_not_opened(prepared: Path, tmp_path: Path) -> None:
+    data = prepared.read_bytes()
+    path = tmp_path / "items.npz"
+    path.write_bytes(data)
+    assert len(open_prepared(path).ends) > 0
+    changed = bytearray(data)
+    changed[300] ^= 1  # in what is packed
+    for damaged in (b"", b"rubbish", data[:1000], data[:-10], bytes(changed)):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match="is damaged: remove") as error:
+            open_prepared(path)
+        assert str(error.value).startswith(str(path))
+        assert "\n" not in str(error.value)
+    path.unlink()
+    with pytest.raises(OSError):
+        open_prepared(path)
 
 
 def test_no_heap_is_trained_on_and_held_out(
@@ -293,27 +330,32 @@ def test_no_heap_is_trained_on_and_held_out(
     assert count[False] == sum(heap not in out for heap in heaps)
 
 
-def _items(sample: Sample, **change: Any) -> list[tuple[np.ndarray, ...]]:
+def _items(
+    sample: Sample, **change: Any
+) -> list[tuple[dict[str, np.ndarray], np.ndarray]]:
     config = dataclasses.replace(EXACT, **change)
-    return [
-        make_item(sample, config, np.random.default_rng(seed))
-        for seed in range(8)
-    ]
+    made = []
+    for seed in range(8):
+        item, size = sample_item(sample, config, np.random.default_rng(seed))
+        made.append((_named(item), size))
+    return made
 
 
 def test_each_error_changes_what_it_should_and_no_label() -> None:
     sample = _sample(1)
     ((exact, size), *rest) = _items(sample)
-    assert all(np.array_equal(image, exact) for image, _ in rest)
+    for images, _ in rest:
+        for name, image in images.items():
+            np.testing.assert_array_equal(image, exact[name])
 
     def changed(**change: Any) -> tuple[set[str], list[np.ndarray]]:
         found, sizes = set(), []
-        for image, features in _items(sample, **change):
+        for images, features in _items(sample, **change):
             sizes.append(features)
             found |= {
                 name
-                for name, one, other in zip(IMAGES, image, exact, strict=True)
-                if not np.array_equal(one, other)
+                for name, image in images.items()
+                if not np.array_equal(image, exact[name])
             }
         return found, sizes
 
@@ -332,19 +374,17 @@ def test_each_error_changes_what_it_should_and_no_label() -> None:
     assert 1e-4 < np.abs(error).max() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("key", "channel"), [("height_error", 1), ("tilt_error", 1)]
-)
-def test_wrong_calibration_lifts_or_tilts_the_floor(
-    key: str, channel: int
-) -> None:
+@pytest.mark.parametrize("key", ["height_error", "tilt_error"])
+def test_wrong_calibration_lifts_or_tilts_the_floor(key: str) -> None:
     sample = _sample(0)
     quiet = {"height_error": 0.0, "tilt_error": 0.0, "focal_error": 0.0}
     quiet[key] = 0.02
     ((exact, _), *_) = _items(sample)
-    for image, _ in _items(sample, miscalibrated=1.0, **quiet):
-        floor = (exact[3] == 0) & (exact[2] == 255) & (exact[1] < 40)
-        change = image[channel].astype(int) - exact[channel]
+    seen = exact["modal"].reshape(16, 4, 24, 4).any(axis=(1, 3))
+    floor = ~seen & (exact["reading"] == 255) & (exact["height"] < 40)
+    assert floor.mean() > 0.5
+    for images, _ in _items(sample, miscalibrated=1.0, **quiet):
+        change = images["height"].astype(int) - exact["height"]
         spread = np.ptp(change[floor])
         if key == "height_error":
             assert spread <= 2
@@ -357,9 +397,8 @@ def test_a_small_mask_is_not_eroded_away() -> None:
     modal = np.zeros(SHAPE, bool)
     modal[10:14, 10:20] = True  # 40 pixels
     small = dataclasses.replace(sample, target_modal=modal)
-    for image, _ in _items(small, mask_errors=1.0):
-        blocks = cv2.resize(modal.astype(np.float32), (48, 32))
-        np.testing.assert_array_equal(image[3], np.rint(blocks * 255))
+    for images, _ in _items(small, mask_errors=1.0):
+        np.testing.assert_array_equal(images["modal"], 255 * modal)
 
 
 def test_shards_that_are_still_to_come_are_left_out_if_told_so(
@@ -418,6 +457,6 @@ def test_processes_make_the_same_items(
     for name in ("OMP", "OPENBLAS", "MKL"):
         monkeypatch.setenv(f"{name}_NUM_THREADS", "1")
     files = _prepare(dataset, tmp_path, PrepareConfig())
-    path = tmp_path / "here.npy"
+    path = tmp_path / "here.npz"
     prepare_shard(dataset / "train-00000.h5", path, PrepareConfig(), SHARE)
-    assert _bytes(files[0]) == _bytes(path)
+    assert files[0].read_bytes() == path.read_bytes()

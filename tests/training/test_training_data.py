@@ -8,24 +8,39 @@ from hypothesis import strategies as st
 
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import PassSampler, PreparedItems, TrainingData
+from xray_drake.training.items import Item, pack
 from xray_drake.training.prepare import Prepared
 
 TARGETS = ("lid", "flute", "virtual_box_60x30x5")
 
 
+def item(number: int) -> Item:
+    """One that is told by its coarse pixels, and by its label's first."""
+    fine, labels = np.zeros((2, 2, 8, 12), np.uint8)
+    fine[0] = 17 * (number % 16)
+    labels[0, 0, 0] = number
+    return Item(
+        fine=fine,
+        coarse=np.full((3, 2, 3), number, np.uint8),
+        labels=labels,
+    )
+
+
 def shard(first: int, *rows: tuple[str, bool]) -> Prepared:
-    """Items that are told apart by their first pixel: first, first + 1, …
+    """Items first, first + 1, …
 
     Args:
         first: of the first item.
         rows: each item's target, and whether it is held out.
     """
-    images = np.zeros((len(rows), 7, 4, 6), np.uint8)
-    images[:, 0, 0, 0] = first + np.arange(len(rows))
+    numbers = first + np.arange(len(rows))
+    packed = [pack(item(number)) for number in numbers.tolist()]
     names = tuple(name for name, _ in rows)
     return Prepared(
-        images=images,
-        sizes=np.tile(images[:, 0, 0, :1], 5).astype(np.float32),
+        packed=np.frombuffer(b"".join(packed), np.uint8),
+        ends=np.cumsum([len(data) for data in packed]),
+        shape=(8, 12),
+        sizes=np.tile(numbers[:, None], 5).astype(np.float32),
         real=np.array([not name.startswith("virtual_") for name in names]),
         held_out=np.array([held_out for _, held_out in rows]),
         targets=names,
@@ -39,7 +54,7 @@ _shards = st.lists(
 
 
 def numbers(items: PreparedItems) -> list[int]:
-    return [int(items[i][0][0, 0, 0]) for i in range(len(items))]
+    return [int(items[i][2][0, 0, 0]) for i in range(len(items))]
 
 
 @given(
@@ -80,7 +95,7 @@ def test_items_are_those_that_were_asked_for(
     assert len(set(found)) == len(found)
 
 
-def test_an_item_is_an_image_its_size_and_whether_it_is_real() -> None:
+def test_an_item_is_its_images_its_size_and_whether_it_is_real() -> None:
     shards = [
         shard(10, ("lid", False), ("lid", True)),
         shard(20, ("virtual_box_60x30x5", False), ("flute", False)),
@@ -88,16 +103,27 @@ def test_an_item_is_an_image_its_size_and_whether_it_is_real() -> None:
     items = PreparedItems(shards, held_out=False)
     assert numbers(items) == [10, 20, 21]
     for i, real in enumerate((True, False, True)):
-        image, size, told = items[i]
-        assert image.dtype == torch.uint8
-        assert image.shape == (7, 4, 6)
+        *images, size, told = items[i]
+        number = numbers(items)[i]
+        expected = item(number)
+        for image, other in zip(
+            images,
+            (expected.fine, expected.coarse, expected.labels),
+            strict=True,
+        ):
+            assert image.dtype == torch.uint8
+            np.testing.assert_array_equal(image, other)
         assert size.dtype == torch.float32
-        assert size.tolist() == [image[0, 0, 0]] * 5
+        assert size.tolist() == [number] * 5
         assert told.dtype == torch.bool
         assert bool(told) is real
-    # A copy: what is changed in a batch is not changed on disk.
-    items[0][0].zero_()
-    assert numbers(items) == [10, 20, 21]
+    # Copies: what is changed in a batch is not changed in the shard.
+    for image in items[0][:3]:
+        image.zero_()
+    fine, coarse, labels, *_ = items[0]
+    assert (fine[0] == 170).all()
+    assert (coarse == 10).all()
+    assert labels[0, 0, 0] == 10
 
 
 def epochs(sampler: PassSampler, *numbers: int) -> list[int]:
@@ -169,5 +195,14 @@ def test_epochs_are_parts_of_passes(passes: float, epochs_: int) -> None:
     loader = data.train_dataloader()
     batches = list(loader)
     assert len(batches) == data.steps_per_epoch
-    assert all(len(images) == 3 for images, _, _ in batches)
-    assert sum(len(images) for images, _, _ in data.val_dataloader()) == 20
+    assert all(len(tensor) == 3 for batch in batches for tensor in batch)
+    validation = list(data.val_dataloader())
+    assert sum(len(real) for *_, real in validation) == 20
+    for fine, coarse, labels, sizes, real in batches + validation:
+        assert fine.shape[1:] == labels.shape[1:] == (2, 8, 12)
+        assert coarse.shape[1:] == (3, 2, 3)
+        assert real.shape == (len(fine),)
+        # What is of an item stays together.
+        of = labels[:, 0, 0, 0]
+        assert (coarse == of[:, None, None, None]).all()
+        assert (sizes == of[:, None]).all()

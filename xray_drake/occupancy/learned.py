@@ -4,7 +4,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 import torch
 from torch import nn
@@ -20,11 +19,17 @@ from xray_drake.occupancy.aspect import (
     rescale_output,
 )
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
-from xray_drake.occupancy.networks.build import build_network, channels_last
+from xray_drake.occupancy.networks.build import (
+    build_network,
+    channels_last,
+    fast_dtype,
+)
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
 from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.inputs import (
-    CHANNELS,
+    COARSE,
+    FINE,
+    QUARTER,
     SIZE_FEATURES,
     geometry_input,
     size_features,
@@ -63,6 +68,7 @@ class LearnedInference:
         *,
         output: Output = "occupancy",
         scaling: bool = True,
+        dtype: torch.dtype | None = None,
     ) -> None:
         """Prepares a network for a target.
 
@@ -75,6 +81,8 @@ class LearnedInference:
                 "posterior", where it probably is ("compact" only).
             scaling: scale the image for a network of a single box; otherwise
                 it sees it as it is.
+            dtype: in which a "compact" network computes; by default
+                :func:`~xray_drake.occupancy.networks.build.fast_dtype`.
 
         Raises:
             ValueError: no such output, or a network that has not got it.
@@ -93,8 +101,11 @@ class LearnedInference:
             self._scale = box_scale(self._size) if scaling else 1.0
             thickness = self._size[2]
             self._size = np.array([*card.box_size[:2], thickness])
-        net = net.fused() if isinstance(net, CompactNet) else net.eval()
-        self._net = channels_last(net)
+        self._dtype = torch.float32
+        if isinstance(net, CompactNet):
+            self._dtype = dtype or fast_dtype()
+            net = net.fused().to(self._dtype)
+        self._net = channels_last(net.eval())
         self._mean = np.array(card.training.get("input_mean", [0.0] * 3))
         self._label_scale = float(card.training.get("label_scale", 1.0))
 
@@ -145,10 +156,6 @@ class LearnedInference:
             answer = self._from_geometry(depth, mask, camera)
         else:
             answer = self._from_augmented_depth(depth, mask)
-        if answer.shape != depth.shape:
-            answer = cv2.resize(
-                answer, depth.shape[::-1], interpolation=cv2.INTER_CUBIC
-            )
         if self._scale != 1.0:
             answer = rescale_output(answer, self._scale)
         return np.clip(answer, 0.0, 1.0)
@@ -156,17 +163,17 @@ class LearnedInference:
     def _from_geometry(
         self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        image = geometry_input(depth, mask, camera, float(self._size[2]))
+        images = geometry_input(depth, mask, camera, float(self._size[2]))
         size = size_features(self._size, mask, camera)
         with torch.inference_mode():
             logits = self._net(
-                torch.from_numpy(image)[None].contiguous(
-                    memory_format=torch.channels_last
-                ),
-                torch.from_numpy(size)[None],
+                *(
+                    torch.from_numpy(array)[None].to(self._dtype)
+                    for array in (*images, size)
+                )
             )
             chosen = logits[0, OUTPUTS.index(self.output)]
-            return torch.sigmoid(chosen).numpy()
+            return torch.sigmoid(chosen.float()).numpy()
 
     def _from_augmented_depth(
         self, depth: np.ndarray, mask: np.ndarray
@@ -221,23 +228,26 @@ def _load(path: Path, changed: int) -> tuple[nn.Module, NetworkCard]:
         net.load_state_dict(state)
         _try(net.eval(), card)
     except (IndexError, RuntimeError, TypeError, ValueError) as error:
+        reason = str(error).splitlines()[0].rstrip(":")
         raise WeightsError(
             f"{path} does not fit this version's {card.architecture!r} "
-            f"network: {str(error).splitlines()[0]}; train it again with "
-            "'xray-drake train'"
+            f"network: {reason}; train it again with 'xray-drake train'"
         ) from error
     return net.eval(), card
 
 
 def _try(net: nn.Module, card: NetworkCard) -> None:
     """Raises RuntimeError or TypeError if a network takes another input."""
-    side = torch.zeros(1, 1, 32, 32)
+    side = SIZE_STEP
     with torch.inference_mode():
         if card.input == "geometry":
-            image = side.expand(-1, len(CHANNELS), -1, -1)
-            net(image, torch.zeros(1, len(SIZE_FEATURES)))
+            net(
+                torch.zeros(1, len(FINE), side, side),
+                torch.zeros(1, len(COARSE), side // QUARTER, side // QUARTER),
+                torch.zeros(1, len(SIZE_FEATURES)),
+            )
         else:
-            net(side.expand(-1, 3, -1, -1))
+            net(torch.zeros(1, 3, side, side))
 
 
 def _nearest(folder: Path, target_size: np.ndarray) -> Path:

@@ -13,11 +13,12 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.prepare import Prepared, open_prepared
 
-Batch = tuple[Tensor, Tensor, Tensor]
-"""(B, 7, h, w) uint8 images, (B, 5) float32 sizes, (B,) bool real."""
+Batch = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+"""An ``Item``'s images, (B, 2, H, W), (B, 3, H/4, W/4), (B, 2, H, W) uint8;
+(B, 5) float32 sizes; (B,) bool real."""
 
 
-class PreparedItems(Dataset[tuple[Tensor, Tensor, Tensor]]):
+class PreparedItems(Dataset[Batch]):
     """Chosen items of prepared shards.
 
     Attributes:
@@ -55,11 +56,14 @@ class PreparedItems(Dataset[tuple[Tensor, Tensor, Tensor]]):
     def __len__(self) -> int:
         return len(self._places)
 
-    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
+    def __getitem__(self, index: int) -> Batch:
         number, row = self._places[index].tolist()
         shard = self._shards[number]
+        item = shard.item(row)
         return (
-            torch.from_numpy(np.array(shard.images[row])),
+            torch.from_numpy(item.fine),
+            torch.from_numpy(np.array(item.coarse)),
+            torch.from_numpy(item.labels),
             torch.from_numpy(shard.sizes[row]),
             torch.tensor(bool(shard.real[row])),
         )

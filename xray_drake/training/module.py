@@ -9,7 +9,6 @@ import torch
 from torch import Tensor, nn
 
 from xray_drake.occupancy.networks.build import channels_last
-from xray_drake.occupancy.networks.inputs import CHANNELS
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import Batch
 from xray_drake.training.losses import (
@@ -97,13 +96,9 @@ class OccupancyTraining(lightning.LightningModule):
 
 
 class CompactTraining(OccupancyTraining):
-    """Trains a network of geometry and size; logs PROTOCOL.md's metrics.
+    """Trains a network of geometry and size; logs PROTOCOL.md's metrics."""
 
-    They are of half the camera's resolution here; ``xray-drake evaluate`` has
-    them in full.
-    """
-
-    resolution = "half resolution"
+    resolution = "full resolution"
     unused = ("label_scale", "input_mean_images", "backbone")
 
     def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
@@ -120,15 +115,16 @@ class CompactTraining(OccupancyTraining):
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         """Returns the loss of one batch, mirrored at random."""
-        images, sizes, real = batch
-        images = images.flip(self.flipped_axes())
-        return self._loss("train", (images, sizes, real))[0]
+        *images, sizes, real = batch
+        axes = self.flipped_axes()
+        fine, coarse, labels = (image.flip(axes) for image in images)
+        return self._loss("train", (fine, coarse, labels, sizes, real))[0]
 
     def validation_step(self, batch: Batch, index: int) -> None:
         """Counts pixels."""
         _, output = self._loss("validation", batch)
-        images, _, real = batch
-        label, amodal = images[:, -2].float() / 255, images[:, -1].float() / 255
+        _, _, labels, _, real = batch
+        label, amodal = (labels.float() / 255).unbind(dim=1)
         occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
         self._counts += pixel_counts(occupancy, label).cpu()
         share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
@@ -151,15 +147,12 @@ class CompactTraining(OccupancyTraining):
         self._mass.clear()
 
     def _loss(self, stage: str, batch: Batch) -> tuple[Tensor, Tensor]:
-        images, sizes, real = batch
-        scaled = images.float() / 255
-        inputs = scaled[:, : len(CHANNELS)].contiguous(
-            memory_format=torch.channels_last
-        )
-        output = self.net(inputs, sizes)  # (B, 2, h, w)
-        logits = output.float()
-        occupancy = robust_loss(logits[:, 0], scaled[:, -2])
-        posterior = posterior_loss(logits[:, 1], scaled[:, -1], real)
+        fine, coarse, labels, sizes, real = batch
+        output = self.net(_scaled(fine), _scaled(coarse), sizes)
+        logits = output.float()  # (B, 2, H, W)
+        label, amodal = (labels.float() / 255).unbind(dim=1)
+        occupancy = robust_loss(logits[:, 0], label)
+        posterior = posterior_loss(logits[:, 1], amodal, real)
         loss = occupancy + self._config.posterior_weight * posterior
         training = stage == "train"
         self.log_dict(
@@ -171,6 +164,12 @@ class CompactTraining(OccupancyTraining):
             on_step=training,
             on_epoch=not training,
             sync_dist=not training,
-            batch_size=len(images),
+            batch_size=len(fine),
         )
         return loss, output
+
+
+def _scaled(images: Tensor) -> Tensor:
+    """Bytes to [0, 1]."""
+    scaled = images.float() / 255
+    return scaled.contiguous(memory_format=torch.channels_last)

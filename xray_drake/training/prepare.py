@@ -2,9 +2,9 @@
 
 Reading a shard, computing heights and placing virtual targets costs more than
 a training step. What comes of it is kept: for each shard of the dataset one
-file of 8-bit images, mapped into memory later. Files of shards that are there
-already are not made again, so preparing can be stopped, and can follow a
-dataset that is still being made.
+file of packed items. Files of shards that are there already are not made
+again, so preparing can be stopped, and can follow a dataset that is still
+being made.
 """
 
 import hashlib
@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -29,18 +30,15 @@ from xray_drake.dataset.virtual import is_virtual, virtual_sample
 from xray_drake.files import write_whole_file
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.networks.inputs import (
-    CHANNELS,
     geometry_input,
     size_features,
 )
 from xray_drake.seeding import stream
 from xray_drake.threads import limit_threads
 from xray_drake.training.disturbance import believed_camera
+from xray_drake.training.items import Item, make_item, pack, unpack
 
-IMAGES = (*CHANNELS, "occupancy", "amodal")
-"""What an item's 8-bit images are, in [0, 255]."""
-
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,9 @@ class PrepareConfig:
     # kind and size if empty.
     virtual_size: list[float] = field(default_factory=list)
     # Share of items with the noise of a depth sensor.
-    noisy: float = 0.5
+    noisy: float = 0.3
     # Share of items whose camera is not quite where inference is told.
-    miscalibrated: float = 0.5
+    miscalibrated: float = 0.3
     # Standard deviations of the camera's height, m, ...
     height_error: float = 0.0015
     # ... of its tilt about both axes, rad, ...
@@ -63,7 +61,7 @@ class PrepareConfig:
     # ... and of its focal length, relative.
     focal_error: float = 0.005
     # Share of masks that are a pixel too large or too small.
-    mask_errors: float = 0.25
+    mask_errors: float = 0.1
     # The sensor.
     noise: DepthNoise = field(default_factory=DepthNoise)
     seed: int = 0
@@ -74,18 +72,27 @@ class Prepared:
     """The items of one shard.
 
     Attributes:
-        images: (n, 7, h, w) uint8, see :data:`IMAGES`; mapped from disk.
+        packed: (n bytes,) uint8, all items' one after the other.
+        ends: (n,) int64, where each item ends in ``packed``.
+        shape: H and W of the camera.
         sizes: (n, 5) float32, see ``size_features``.
         real: (n,) bool; False for a virtual target.
         held_out: (n,) bool; True for heaps kept for validation.
         targets: the targets' names.
     """
 
-    images: np.ndarray
+    packed: np.ndarray
+    ends: np.ndarray
+    shape: tuple[int, int]
     sizes: np.ndarray
     real: np.ndarray
     held_out: np.ndarray
     targets: tuple[str, ...]
+
+    def item(self, row: int) -> Item:
+        """Unpacks one item."""
+        begin = self.ends[row - 1] if row else 0
+        return unpack(self.packed[begin : self.ends[row]].tobytes(), self.shape)
 
 
 def plan(
@@ -149,11 +156,7 @@ def prepare(
         ShardError: a damaged shard.
         OSError: the items cannot be written.
     """
-    missing = [
-        job
-        for job in jobs
-        if not (job[1].is_file() and job[1].with_suffix(".npz").is_file())
-    ]
+    missing = [job for job in jobs if not job[1].is_file()]
     done = len(jobs) - len(missing)
     yield done
     if not missing:
@@ -184,16 +187,16 @@ def _item_name(
         [fingerprint, shard, asdict(config), share, _VERSION], sort_keys=True
     )
     digest = hashlib.blake2b(what.encode(), digest_size=6).hexdigest()
-    return f"{Path(shard).stem}-{digest}.npy"
+    return f"{Path(shard).stem}-{digest}.npz"
 
 
 def prepare_shard(
     shard: Path, path: Path, config: PrepareConfig, validation_share: float
 ) -> None:
-    """Makes the items of one shard: ``path``, and beside it its vectors."""
+    """Makes the items of one shard."""
     cv2.setNumThreads(1)
     box = np.array(config.virtual_size) if config.virtual_size else None
-    images, sizes, real, held_out, targets = [], [], [], [], []
+    packed, sizes, real, held_out, targets = [], [], [], [], []
     with ShardReader(shard) as reader:
         for index, key in enumerate(reader.keys):
             rng = stream(config.seed, f"prepare {key}")
@@ -205,46 +208,55 @@ def prepare_shard(
             for each in (sample, *made):
                 if each is None:
                     continue
-                image, size = make_item(each, config, rng)
-                images.append(image)
+                item, size = sample_item(each, config, rng)
+                packed.append(pack(item))
                 sizes.append(size)
                 real.append(not is_virtual(each.target_name))
                 held_out.append(is_held_out(key.heap_seed, validation_share))
                 targets.append(each.target_name)
-    vectors, items = io.BytesIO(), io.BytesIO()
+    file = io.BytesIO()
     np.savez(
-        vectors,
+        file,
+        packed=np.frombuffer(b"".join(packed), np.uint8),
+        ends=np.cumsum([len(data) for data in packed]),
+        shape=np.array(sample.camera.shape),
         sizes=np.array(sizes),
         real=np.array(real),
         held_out=np.array(held_out),
         targets=np.array(targets),
     )
-    np.save(items, np.stack(images))
-    # The images last: where they are, all is.
-    write_whole_file(path.with_suffix(".npz"), vectors.getvalue())
-    write_whole_file(path, items.getvalue())
+    write_whole_file(path, file.getvalue())
 
 
 def open_prepared(path: Path) -> Prepared:
-    """Maps the items of a shard into memory.
+    """Reads the items of a shard, packed.
 
     Raises:
-        OSError, ValueError: they are not whole.
+        OSError: it cannot be read.
+        ValueError: it is damaged.
     """
-    with np.load(path.with_suffix(".npz"), allow_pickle=False) as vectors:
-        return Prepared(
-            images=np.load(path, mmap_mode="r", allow_pickle=False),
-            sizes=vectors["sizes"],
-            real=vectors["real"],
-            held_out=vectors["held_out"],
-            targets=tuple(vectors["targets"].tolist()),
-        )
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            height, width = arrays["shape"].tolist()
+            return Prepared(
+                packed=arrays["packed"],
+                ends=arrays["ends"],
+                shape=(height, width),
+                sizes=arrays["sizes"],
+                real=arrays["real"],
+                held_out=arrays["held_out"],
+                targets=tuple(arrays["targets"].tolist()),
+            )
+    except (BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is damaged: remove it, and it is made again"
+        ) from error
 
 
-def make_item(
+def sample_item(
     sample: Sample, config: PrepareConfig, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (7, h, w) uint8 images and (5,) features of a sample.
+) -> tuple[Item, np.ndarray]:
+    """Returns a sample's item and (5,) features.
 
     The sensor's noise and the errors of calibration are drawn here.
     """
@@ -260,13 +272,8 @@ def make_item(
         camera = _miscalibrated(camera, config, rng)
     size = sample.target_size
     inputs = geometry_input(seen.depth, seen.modal, camera, float(size[2]))
-    labels = [
-        cv2.resize(image, inputs.shape[:0:-1], interpolation=cv2.INTER_AREA)
-        for image in (seen.occupancy, seen.amodal.astype(np.float32))
-    ]
-    image = np.concatenate([inputs, np.stack(labels)])
-    features = size_features(size, seen.modal, camera)
-    return np.rint(image * 255).astype(np.uint8), features
+    item = make_item(inputs, seen.occupancy, seen.amodal)
+    return item, size_features(size, seen.modal, camera)
 
 
 def _miscalibrated(

@@ -3,8 +3,16 @@
 import copy
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from xray_drake.occupancy.networks.inputs import (
+    COARSE,
+    FINE,
+    QUARTER,
+    SIZE_FEATURES,
+)
 
 OUTPUTS = ("occupancy", "posterior")
 """The channels of the output; see :class:`CompactNet`."""
@@ -13,8 +21,12 @@ OUTPUTS = ("occupancy", "posterior")
 class CompactNet(nn.Module):
     """A U-Net whose blocks are told the target's size.
 
-    It sees geometry (:mod:`xray_drake.occupancy.networks.inputs`) at half the
-    camera's resolution, works at a quarter and below, and answers at half.
+    It sees geometry (:mod:`xray_drake.occupancy.networks.inputs`) at the
+    camera's resolution, works at a quarter of it and below, and answers at the
+    camera's: a label has edges as sharp as those of the objects, and an answer
+    at half the resolution that is enlarged has lost a fifth of its overlap
+    with it before a network has erred. So each feature pixel reads the 4 × 4
+    pixels that it stands for, and answers for each of them.
     Two answers come from the same features: the occupancy distribution as the
     paper labels it (where a flat target *could* lie), and the posterior (how
     probable each pixel shows the target, learned from where targets *were*).
@@ -27,15 +39,13 @@ class CompactNet(nn.Module):
 
     def __init__(
         self,
-        in_channels: int = 5,
-        size_features: int = 5,
-        widths: Sequence[int] = (16, 32, 64, 128),
+        size_features: int = len(SIZE_FEATURES),
+        widths: Sequence[int] = (24, 32, 64, 128),
         depths: Sequence[int] = (1, 1, 2, 3),
     ) -> None:
         """Makes the layers.
 
         Args:
-            in_channels: of the image.
             size_features: length of the vector that describes the target.
             widths: channels at 1/4, 1/8, 1/16 and 1/32 of the camera's
                 resolution.
@@ -44,13 +54,16 @@ class CompactNet(nn.Module):
         super().__init__()
         w1, w2, w3, w4 = widths
         code = 64
+        pixels = QUARTER**2
         self.size_code = nn.Sequential(
             nn.Linear(size_features, code),
             nn.SiLU(),
             nn.Linear(code, code),
             nn.SiLU(),
         )
-        self.stem = nn.Conv2d(4 * in_channels, w1, 3, padding=1)
+        self.stem = nn.Conv2d(
+            pixels * len(FINE) + len(COARSE), w1, 3, padding=1
+        )
         self.down1 = _stage(w1, code, depths[0])
         self.shrink2 = nn.Conv2d(w1, w2, 2, stride=2)
         self.down2 = _stage(w2, code, depths[1])
@@ -65,34 +78,41 @@ class CompactNet(nn.Module):
         self.up2 = _stage(w2, code, 1)
         self.grow1 = nn.Conv2d(w2, w1, 1)
         self.up1 = _stage(w1, code, 1)
-        self.head = nn.Conv2d(w1, 4 * len(OUTPUTS), 3, padding=1)
+        self.head = nn.Conv2d(w1, pixels * len(OUTPUTS), 3, padding=1)
+        # What a feature pixel's 4 × 4 pixels show goes to the answer for each
+        # without having to pass through the features.
+        self.sharp = nn.Conv2d(pixels * len(FINE), pixels * len(OUTPUTS), 1)
         # Most pixels are empty: begin there.
         assert self.head.bias is not None
         nn.init.constant_(self.head.bias, -3.0)
 
-    def forward(self, image: Tensor, size: Tensor) -> Tensor:
+    def forward(self, fine: Tensor, coarse: Tensor, size: Tensor) -> Tensor:
         """Returns logits.
 
         Args:
-            image: (B, in_channels, h, w) with h and w multiples of 16.
-            size: (B, size_features).
+            fine: (B, 2, H, W), see ``GeometryInput``; H and W are multiples
+                of 32.
+            coarse: (B, 3, H/4, W/4).
+            size: (B, 5), see ``size_features``.
 
         Returns:
-            (B, 2, h, w): logits of :data:`OUTPUTS`.
+            (B, 2, H, W): logits of :data:`OUTPUTS`.
         """
         code = self.size_code(size)  # (B, 64)
-        x = nn.functional.pixel_unshuffle(image, 2)  # (B, 4·in, h/2, w/2)
-        x1 = self.down1((self.stem(x), code))[0]  # (B, 16, h/2, w/2)
-        x2 = self.down2((self.shrink2(x1), code))[0]  # (B, 32, h/4, w/4)
-        x3 = self.down3((self.shrink3(x2), code))[0]  # (B, 64, h/8, w/8)
-        x4 = self.down4((self.shrink4(x3), code))[0]  # (B, 128, h/16, w/16)
-        overall = self.overall(x4.mean(dim=(2, 3)))  # (B, 128)
+        x0 = nn.functional.pixel_unshuffle(fine, QUARTER)  # (B, 32, H/4, W/4)
+        x0 = x0.contiguous(memory_format=torch.channels_last)
+        x = torch.cat([x0, coarse], dim=1)  # (B, 35, H/4, W/4)
+        x1 = self.down1((self.stem(x), code))[0]  # (B, w1, H/4, W/4)
+        x2 = self.down2((self.shrink2(x1), code))[0]  # (B, w2, H/8, W/8)
+        x3 = self.down3((self.shrink3(x2), code))[0]  # (B, w3, H/16, W/16)
+        x4 = self.down4((self.shrink4(x3), code))[0]  # (B, w4, H/32, W/32)
+        overall = self.overall(x4.mean(dim=(2, 3)))  # (B, w4)
         x4 = x4 + overall[:, :, None, None]
-        x = x3 + _grown(self.grow3(x4))  # (B, 64, h/8, w/8)
-        x = x2 + _grown(self.grow2(self.up3((x, code))[0]))  # (B, 32, h/4, …)
-        x = x1 + _grown(self.grow1(self.up2((x, code))[0]))  # (B, 16, h/2, …)
-        x = self.head(self.up1((x, code))[0])  # (B, 8, h/2, w/2)
-        return nn.functional.pixel_shuffle(x, 2)  # (B, 2, h, w)
+        x = x3 + _grown(self.grow3(x4))  # (B, w3, H/16, W/16)
+        x = x2 + _grown(self.grow2(self.up3((x, code))[0]))  # (B, w2, H/8, …)
+        x = x1 + _grown(self.grow1(self.up2((x, code))[0]))  # (B, w1, H/4, …)
+        x = self.head(self.up1((x, code))[0]) + self.sharp(x0)
+        return nn.functional.pixel_shuffle(x, QUARTER)  # (B, 2, H, W)
 
     def fused(self) -> "CompactNet":
         """Returns a copy for inference, normalisation within convolutions."""

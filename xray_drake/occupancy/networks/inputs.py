@@ -6,6 +6,8 @@ the label depends on. So the network gets the height above the floor plane, from
 the camera's pose, and need not learn perspective.
 """
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -13,8 +15,14 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.label_config import LabelConfig
 
-CHANNELS = ("cover", "height", "reading", "modal", "floor")
-"""Of :func:`geometry_input`."""
+FINE = ("cover", "modal")
+"""Channels of :class:`GeometryInput` at the camera's resolution."""
+
+COARSE = ("height", "reading", "floor")
+"""Channels of :class:`GeometryInput` at a quarter of it."""
+
+QUARTER = 4
+"""Pixels of the camera along a side of a coarse one."""
 
 SIZE_FEATURES = ("length", "width", "thickness", "hidden", "visible")
 """Of :func:`size_features`."""
@@ -32,6 +40,22 @@ _TYPICAL_PIXELS = 40.0
 """Length of a target in an image 512 wide."""
 
 _TYPICAL_THICKNESS = 0.01
+
+
+class GeometryInput(NamedTuple):
+    """What the compact network sees of an image; all values in [0, 1].
+
+    Attributes:
+        fine: (2, H, W) float32. "cover": 1 where the surface is higher than
+            the target's top, 0 where lower or without a reading. "modal": the
+            mask of what is seen of the target.
+        coarse: (3, H/4, W/4) float32, the means over 4 × 4 pixels of the
+            height and of whether there is a reading; and whether the ray
+            through their middle meets the plane z = 0 within the bin.
+    """
+
+    fine: np.ndarray
+    coarse: np.ndarray
 
 
 def heights_above_floor(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -56,37 +80,35 @@ def geometry_input(
     mask: np.ndarray,
     camera: PinholeCamera,
     thickness: float,
-) -> np.ndarray:
-    """Returns the compact network's image, at half the camera's resolution.
+) -> GeometryInput:
+    """Returns the compact network's images.
 
     Args:
         depth: (H, W) z-depth, m; 0, inf and NaN are no reading.
         mask: (H, W) bool, the target's visible pixels; blank where hidden.
-        camera: of both; H and W are even.
+        camera: of both; H and W are multiples of 4.
         thickness: of the target, m.
-
-    Returns:
-        (5, H/2, W/2) float32 in [0, 1], the mean over 2 × 2 pixels of "cover",
-        1 where the surface is higher than the target's top, 0 where lower or
-        without a reading; of the height; of whether there is a reading; of the
-        mask; and whether the ray through their middle meets the plane z = 0
-        within the bin.
     """
     heights = heights_above_floor(depth, camera)
     reading = ~np.isnan(heights)
     np.nan_to_num(heights, copy=False, nan=-1.0)
-    half = camera.height // 2, camera.width // 2
-    image = np.empty((len(CHANNELS), *half), np.float32)
-    cover = (heights - np.float32(thickness)) / np.float32(2 * _COVER_WIDTH)
+    fine = np.empty((len(FINE), *camera.shape), np.float32)
+    cover = fine[0]
+    np.subtract(heights, np.float32(thickness), out=cover)
+    cover *= np.float32(0.5 / _COVER_WIDTH)
     cover += np.float32(0.5)
-    _halved(np.clip(cover, 0, 1, out=cover), image[0])
+    np.clip(cover, 0, 1, out=cover)
+    fine[1] = mask
+    coarse = np.empty(
+        (len(COARSE), camera.height // QUARTER, camera.width // QUARTER),
+        np.float32,
+    )
     heights -= np.float32(_LOWEST)
     heights *= np.float32(1 / (_HIGHEST - _LOWEST))
-    _halved(np.clip(heights, 0, 1, out=heights), image[1])
-    _halved(reading.astype(np.float32), image[2])
-    _halved(np.asarray(mask, dtype=np.float32), image[3])
-    image[4] = _on_floor(camera, half)
-    return image
+    _shrunk(np.clip(heights, 0, 1, out=heights), coarse[0])
+    _shrunk(reading.astype(np.float32), coarse[1])
+    coarse[2] = _on_floor(camera)
+    return GeometryInput(fine, coarse)
 
 
 def size_features(
@@ -122,10 +144,11 @@ def size_features(
     )
 
 
-def _on_floor(camera: PinholeCamera, half: tuple[int, int]) -> np.ndarray:
-    """(H/2, W/2) float32: 1 where a ray meets z = 0 within the bin."""
-    u = 2 * np.arange(half[1]) + 0.5
-    v = 2 * np.arange(half[0]) + 0.5
+def _on_floor(camera: PinholeCamera) -> np.ndarray:
+    """(H/4, W/4) float32: 1 where a ray meets z = 0 within the bin."""
+    middle = (QUARTER - 1) / 2
+    u = QUARTER * np.arange(camera.width // QUARTER) + middle
+    v = QUARTER * np.arange(camera.height // QUARTER) + middle
     slopes = camera.pixel_to_ray
     x, y, z = (
         a * u[None, :] + b * v[:, None] + c for a, b, c in slopes.tolist()
@@ -140,6 +163,6 @@ def _on_floor(camera: PinholeCamera, half: tuple[int, int]) -> np.ndarray:
     return inside.astype(np.float32)
 
 
-def _halved(image: np.ndarray, out: np.ndarray) -> None:
+def _shrunk(image: np.ndarray, out: np.ndarray) -> None:
     height, width = out.shape
     cv2.resize(image, (width, height), dst=out, interpolation=cv2.INTER_AREA)
