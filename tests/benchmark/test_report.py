@@ -1,151 +1,213 @@
-import math
+import csv
+import io
+import itertools
+import random
+from pathlib import Path
+from typing import Any
 
-import numpy as np
+import matplotlib.image
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
+from tests.benchmark.synthetic import (
+    failure,
+    many_records,
+    record,
+    write_folder,
+)
+from xray_drake.benchmark.records import ROLLOUTS, Collection, collect
 from xray_drake.benchmark.report import (
-    containment,
-    occluded,
-    start_shares,
-    summarize,
-    table,
+    ACTIONS,
+    SUCCESS,
+    Report,
+    comma_separated,
+    make_report,
+    markdown,
+    table_2,
+    write_report,
 )
 
 
-def record(
-    policy: str,
-    seed: int,
-    end: str,
-    num_actions: int,
-    *,
-    visible: float = 0.0,
-    tilt: float = 0.0,
-    inside: float = 1.0,
-) -> dict:
-    return {
-        "policy": policy,
-        "seed": seed,
-        "end": end,
-        "success": end == "success",
-        "num_actions": num_actions,
-        "start": {"target_visible_fraction": visible, "target_tilt_deg": tilt},
-        "actions": [
-            {"true_mask_in_support": inside},
-            {"true_mask_in_support": 0.0},
-        ],
-    }
+def of(records: list[dict[str, Any]]) -> Report:
+    return make_report(Collection(records, "demo"))
 
 
-RECORDS = [
-    record("xray", 0, "success", 2, visible=0.0),
-    record("xray", 1, "success", 3, visible=0.5, tilt=9.0, inside=0.96),
-    record("xray", 2, "success", 7, visible=0.9, inside=0.5),
-    record("xray", 3, "horizon", 10, visible=0.95),
-    record("largest", 0, "horizon", 10, visible=0.0),
-    record("largest", 1, "horizon", 10, visible=0.5, tilt=9.0, inside=0.96),
-    record("largest", 2, "target_lost", 4, visible=0.9, inside=0.5),
-    {
-        "policy": "largest",
-        "seed": 4,
-        "end": "error",
-        "reason": "heap after heap failed",
-        "success": False,
-        "num_actions": 0,
-    },
+def tables(text: str) -> list[list[list[str]]]:
+    """Returns the cells of the tables in a Markdown text, row by row."""
+    groups = itertools.groupby(
+        text.splitlines(), key=lambda line: line.startswith("|")
+    )
+    return [
+        [
+            [cell.strip() for cell in line.strip("|").split("|")]
+            for line in lines
+        ]
+        for is_table, lines in groups
+        if is_table
+    ]
+
+
+SMALL = [
+    record("xray", 0, 2, visible=0.0),
+    record("xray", 1, 3, visible=0.5),
+    record("xray", 2, 7, visible=0.9),
+    record("xray", 3, 10, "horizon", visible=0.95),
+    record("largest", 0, 10, "horizon", visible=0.0),
+    record("largest", 1, 10, "horizon", visible=0.5),
+    record("largest", 2, 4, "target_lost", visible=0.9),
+    failure("largest", 4, "heap after heap failed"),
 ]
 
 
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """The interval's closed form (Wilson 1927) at 95 %."""
-    z, n, p = 1.959963984540054, trials, successes / trials
-    center = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    return center - half, center + half
-
-
-def test_summaries_by_hand() -> None:
-    xray, largest = summarize(RECORDS)
-    assert (xray.policy, xray.rollouts, xray.successes) == ("xray", 4, 3)
-    assert xray.rate == 0.75
-    # Of 2, 3, 7: the failure at 10 actions does not count.
-    assert xray.quartiles == (2.5, 3.0, 5.0)
-    assert xray.ends == {"success": 3, "horizon": 1}
-    assert (xray.low, xray.high) == pytest.approx(wilson(3, 4))
-
-    assert (largest.policy, largest.rollouts) == ("largest", 4)
-    assert largest.rate == largest.successes == 0
-    assert np.isnan(largest.quartiles).all()
-    # A heap that failed counts as a rollout, so that nothing is left out.
-    assert largest.ends == {"horizon": 2, "target_lost": 1, "error": 1}
-    assert (largest.low, largest.high) == pytest.approx(wilson(0, 4))
-
-
-def test_policies_stand_in_the_order_of_their_first_record() -> None:
-    names = [summary.policy for summary in summarize(RECORDS[::-1])]
-    assert names == ["largest", "xray"]
-    assert summarize([]) == []
-
-
-@given(trials=st.integers(1, 200), share=st.floats(0, 1))
-def test_the_interval_is_wilsons(trials: int, share: float) -> None:
-    successes = round(share * trials)
-    records = [
-        record("xray", seed, "success" if seed < successes else "horizon", 5)
-        for seed in range(trials)
+def test_table_2_by_hand() -> None:
+    (rows,) = tables("\n".join(table_2(of(SMALL))))
+    assert rows[2:] == [
+        [
+            *("largest", "0.0 %", "0.0 % to 49.0 %", "4", "–"),
+            *("67 %", "4, 5, 7"),
+        ],
+        [
+            *("xray (exact)", "100.0 %", "43.9 % to 100.0 %", "3"),
+            *("2.5, 3, 5", "82 %", "3, 5, 6"),
+        ],
     ]
-    (summary,) = summarize(records)
-    low, high = wilson(successes, trials)
-    assert summary.low == pytest.approx(max(low, 0), abs=1e-9)
-    assert summary.high == pytest.approx(min(high, 1), abs=1e-9)
-    assert 0 <= summary.low <= summary.rate <= summary.high <= 1
 
 
-def test_each_heap_counts_once_in_how_targets_start() -> None:
-    # Seeds 0 to 3; seed 4 never became a heap.
-    assert start_shares(RECORDS) == {
-        "hidden": 0.25,
-        "partial": 0.5,
-        "visible": 0.25,
-        "tilted": 0.25,
+def test_every_table_is_a_rectangle() -> None:
+    text = markdown(of(many_records()))
+    found = tables(text)
+    assert len(found) == 7
+    for rows in found:
+        assert len({len(row) for row in rows}) == 1
+        assert set(rows[1]) == {"---"}
+    assert "nan" not in text
+
+
+def test_what_the_markdown_says() -> None:
+    text = markdown(of(SMALL))
+    assert "8 rollouts on 5 heaps (seeds 0 to 4)" in text
+    assert "25.0 % hidden, 50.0 % partly visible, 25.0 % more than" in text
+    assert "start more than 90 % visible: 1." in text
+    assert "- seed 4, largest: heap after heap failed" in text
+    found = {rows[0][0]: rows for rows in tables(text)}
+    assert found["difference"][2][:3] == [
+        "xray (exact) − largest",
+        "+100.0 (+100.0 to +100.0)",
+        "+100.0 (+100.0 to +100.0)",
+    ]
+    # No heap on which both succeed.
+    assert found["difference"][2][-1] == ""
+    end_rows = [rows for rows in tables(text) if "horizon" in rows[0]]
+    ((head, _, largest, xray),) = end_rows
+    assert dict(zip(head, largest, strict=True)) == {
+        "policy": "largest",
+        "success": "0",
+        "error": "1",
+        "horizon": "2",
+        "target_lost": "1",
+        "attempts: lifted": "24",
     }
-    assert start_shares(RECORDS[-1:]) == {}
+    assert xray[1] == "3"
 
 
-def test_the_first_decision_of_each_heap_says_what_the_support_held() -> None:
-    # Seeds 0 to 3: all, 96 %, half, all.
-    assert containment(RECORDS) == (0.75, 0.5)
-    assert containment(RECORDS, share=0.5) == (1.0, 0.5)
-    assert np.isnan(containment(RECORDS[-1:])).all()
+def test_one_variant_alone_has_no_difference() -> None:
+    text = markdown(of([record("xray", 0)]))
+    assert "There is one variant alone." in text
 
 
-def test_a_target_in_full_view_is_not_occluded() -> None:
-    kept = [(r["policy"], r["seed"]) for r in occluded(RECORDS)]
-    assert ("xray", 2) in kept
-    assert ("xray", 3) not in kept
-    assert len(kept) == len(RECORDS) - 1
-    assert occluded([]) == []
+def test_a_heap_in_full_view_alone_is_nothing_to_report() -> None:
+    with pytest.raises(ValueError, match="of 1 rollouts none"):
+        of([record("xray", 0, visible=0.95)])
+    with pytest.raises(ValueError, match="of 0 rollouts none"):
+        of([])
 
 
-def test_the_table_is_markdown() -> None:
-    lines = table(RECORDS).splitlines()
-    rows = [line for line in lines if line.startswith("|")]
-    assert len({row.count("|") for row in rows}) == 1
-    cells = [[c.strip() for c in row.strip("|").split("|")] for row in rows]
-    # A table of all heaps, then one without seed 3.
-    assert cells[0] == cells[4]
-    assert cells[2] == [
-        "xray",
-        "75% of 4",
-        "30% to 95%",
-        "2.5, 3, 5",
-        "success 3, horizon 1",
+def test_redrawn_heaps_are_told() -> None:
+    first = record("xray", 0)
+    first["start"] |= {"attempts": 4, "redrawn": 2}
+    text = markdown(of([first, record("xray", 1)]))
+    assert (
+        "Of 5 heaps drawn, 2 (40.0 %) showed too much of the target and 1 did "
+        "not come to rest" in text
+    )
+
+
+def test_drops_count_once() -> None:
+    text = markdown(of([record("xray", 0), record("largest", 0)]))
+    # (4 + 2 + 2) / 2.
+    assert "4.00 core-seconds; counted once a heap, it makes 4.00" in text
+
+
+def rows_of(report: Report) -> dict[tuple[str, ...], dict[str, str]]:
+    lines = csv.DictReader(io.StringIO(comma_separated(report)))
+    found = {
+        (row["part"], row["variant"], row["against"], row["quantity"]): row
+        for row in lines
+    }
+    assert len(found) == comma_separated(report).count("\n") - 1
+    return found
+
+
+def test_the_csv_holds_the_figures() -> None:
+    rows = rows_of(of(SMALL))
+    rate = rows["all", "xray (exact)", "", "success_rate"]
+    assert (rate["value"], rate["heaps"]) == ("1.0", "3")
+    assert float(rate["low"]) == pytest.approx(0.4385, abs=1e-4)
+    assert rows["hidden", "largest", "", "end_horizon"]["value"] == "1"
+    assert rows["all", "largest", "", "end_error"]["value"] == "1"
+    assert rows["all", "xray (exact)", "", "actions_median"]["value"] == "3.0"
+    assert rows["all", "largest", "", "actions_median"]["value"] == ""
+    difference = rows["all", "xray (exact)", "largest", "success_rate"]
+    assert (difference["value"], difference["heaps"]) == ("1.0", "3")
+    paper = rows["paper", "random", "", "success_rate"]
+    assert paper["value"] == "0.42"
+    assert rows["paper", "xray", "", "actions_upper_quartile"]["value"] == "6"
+    rows = rows_of(of(many_records()))
+    assert float(rows["all", "", "", "core_seconds_a_rollout"]["value"]) > 0
+    assert ("cover_small", "oracle", "largest", "success_rate") in rows
+    for row in rows.values():
+        if row["low"]:
+            assert (
+                float(row["low"]) <= float(row["value"]) <= float(row["high"])
+            )
+
+
+def files_of(folders: list[Path], out: Path) -> dict[str, bytes]:
+    paths = write_report(make_report(collect(folders)), out)
+    assert sorted(paths) == sorted(out.iterdir())
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def test_killed_and_resumed_gives_the_same_report(tmp_path: Path) -> None:
+    """Records come in another order, and one line is cut by the kill."""
+    records = many_records(12)
+    whole = write_folder(tmp_path / "whole", records)
+    mixed = random.Random(5).sample(records, len(records))
+    killed = write_folder(tmp_path / "killed", mixed[:30])
+    path = killed / ROLLOUTS
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text[:-100], encoding="utf-8")
+    half = files_of([killed], tmp_path / "out0")
+
+    resumed = write_folder(tmp_path / "resumed", mixed[:29] + mixed[:28:-1])
+    first = files_of([whole], tmp_path / "out1")
+    assert set(first) == {"report.md", "report.csv", ACTIONS, SUCCESS}
+    assert files_of([resumed], tmp_path / "out2") == first
+    assert all(half[name] != first[name] for name in first)
+    for name in (ACTIONS, SUCCESS):
+        image = matplotlib.image.imread(tmp_path / "out1" / name)
+        assert image[..., :3].std() > 0.05
+        assert f"]({name})" in first["report.md"].decode()
+
+
+def test_machines_merge_into_the_same_report(tmp_path: Path) -> None:
+    records = many_records(12)
+    whole = write_folder(tmp_path / "whole", records)
+    shares = [
+        write_folder(
+            tmp_path / f"machine{i}", [r for r in records if r["seed"] % 3 == i]
+        )
+        for i in range(3)
     ]
-    assert cells[6][:2] == ["xray", "100% of 3"]
-    for row in (cells[3], cells[7]):
-        assert row[:2] == ["largest", "0% of 4"]
-        assert "error 1" in row[-1]
-    text = " ".join(lines)
-    assert "hidden 25%" in text
-    assert "in 75% of the heaps, all of it in 50%" in text
+    assert files_of(shares[::-1], tmp_path / "out1") == files_of(
+        [whole], tmp_path / "out2"
+    )

@@ -1,21 +1,24 @@
 import json
+import os
 import shutil
+import signal
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from xray_drake.benchmark.rollouts import (
-    ROLLOUTS,
-    SCENARIO,
-    Job,
-    read_rollouts,
-    run_job,
-    run_rollouts,
-)
+from tests.benchmark.synthetic import record
+from xray_drake.benchmark import rollouts
+from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
+from xray_drake.benchmark.rollouts import Job, run_job, run_rollouts
+from xray_drake.benchmark.variants import Variant, variants
+from xray_drake.search import rollout
+from xray_drake.station import objects
 from xray_drake.station.scenario import Scenario, dump_scenario
 
-POLICIES = ("largest", "random")
+VARIANTS = variants(("largest", "random"), ("exact",))
 SEEDS = (5, 6)
 
 
@@ -25,9 +28,9 @@ def tiny() -> Scenario:
     return scenario
 
 
-def run(folder: Path, **changes: object) -> list[dict]:
-    arguments = {
-        "policies": POLICIES,
+def run(folder: Path, **changes: Any) -> list[dict]:
+    arguments: dict[str, Any] = {
+        "variants": VARIANTS,
         "seeds": SEEDS,
         "folder": folder,
         "workers": 1,
@@ -53,44 +56,53 @@ def copy(finished: Path, tmp_path: Path) -> Path:
 def no_heaps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes the start of a worker an error."""
 
-    def start(*_: object, **__: object) -> None:
+    def start(*_: object) -> None:
         raise AssertionError("a heap is run again")
 
-    monkeypatch.setattr("concurrent.futures.ProcessPoolExecutor.submit", start)
+    monkeypatch.setattr(
+        "multiprocessing.context.ForkServerProcess.start", start
+    )
 
 
 def keys(records: list[dict]) -> list[tuple[int, str]]:
-    return sorted((r["seed"], r["policy"]) for r in records)
+    return sorted((r["seed"], Variant.of(r).label) for r in records)
 
 
 def test_each_rollout_is_one_line(finished: Path) -> None:
     lines = (finished / ROLLOUTS).read_text(encoding="utf-8").splitlines()
     records = [json.loads(line) for line in lines]
-    assert keys(records) == [(s, p) for s in SEEDS for p in POLICIES]
-    for record in records:
-        assert record["end"] in {"success", "horizon", "nothing_graspable"}
-        assert record["num_actions"] == len(record["actions"]) == 1
-        assert record["horizon"] == 1
+    assert keys(records) == [(s, v.label) for s in SEEDS for v in VARIANTS]
+    for item in records:
+        assert item["end"] in {"success", "horizon", "nothing_graspable"}
+        assert item["num_actions"] == len(item["actions"]) == 1
+        assert item["horizon"] == 1
+        assert set(item["cpu_seconds"]) == {"drop", "rollout"}
+        assert min(item["cpu_seconds"].values()) > 0
 
 
 def test_policies_search_the_same_heap(finished: Path) -> None:
-    heaps = {seed: [] for seed in SEEDS}
-    for record in read_rollouts(finished):
-        heaps[record["seed"]].append(record)
+    heaps: dict[int, list[dict]] = {seed: [] for seed in SEEDS}
+    for item in read_rollouts(finished):
+        heaps[item["seed"]].append(item)
     for largest, random in heaps.values():
         assert largest["policy"] != random["policy"]
         assert largest["objects"] == random["objects"]
         assert largest["start"] == random["start"]
         first = [r["actions"][0]["support_before"] for r in (largest, random)]
         assert first[0] == first[1]
-    first, second = heaps.values()
-    assert first[0]["objects"] != second[0]["objects"]
+        # Dropped once for both.
+        drops = {r["cpu_seconds"]["drop"] for r in (largest, random)}
+        assert len(drops) == 1
+    one, other = heaps.values()
+    assert one[0]["objects"] != other[0]["objects"]
 
 
 def test_what_is_done_is_not_run_again(copy: Path, no_heaps: None) -> None:
     before = (copy / ROLLOUTS).read_bytes()
     assert run(copy) == []
-    assert run(copy, policies=POLICIES[:1], seeds=SEEDS[1:]) == []
+    assert run(copy, variants=VARIANTS[:1], seeds=SEEDS[1:]) == []
+    # Blind policies are done, whatever infers a distribution.
+    assert run(copy, variants=variants(("random",), ("learned",))) == []
     assert (copy / ROLLOUTS).read_bytes() == before
 
 
@@ -125,11 +137,11 @@ def test_another_scenario_needs_another_folder(
     other = tiny()
     change(other)
     before = (copy / SCENARIO).read_bytes()
-    rollouts = run_rollouts(
-        other, policies=POLICIES, seeds=SEEDS, folder=copy, workers=1
+    begun = run_rollouts(
+        other, variants=VARIANTS, seeds=SEEDS, folder=copy, workers=1
     )
     with pytest.raises(ValueError, match=str(copy)):
-        next(rollouts)
+        next(begun)
     assert (copy / SCENARIO).read_bytes() == before
 
 
@@ -138,15 +150,141 @@ def test_a_heap_that_fails_is_a_record_too() -> None:
     scenario.scene.heap.max_attempts = 1
     scenario.scene.heap.rest_timeout = 1e-3
     scenario.scene.heap.drop_period = 0.01
-    records = run_job(Job(dump_scenario(scenario), 5, POLICIES))
-    assert keys(records) == [(5, policy) for policy in POLICIES]
-    for record in records:
-        assert record["end"] == "error"
-        assert "5" in record["reason"]
-        assert len(record["reason"].splitlines()) == 1
-        assert record["success"] is False
+    records = list(run_job(Job(dump_scenario(scenario), 5, VARIANTS)))
+    assert keys(records) == [(5, variant.label) for variant in VARIANTS]
+    for item in records:
+        assert item["end"] == "error"
+        assert "5" in item["reason"]
+        assert len(item["reason"].splitlines()) == 1
+        assert item["success"] is False
 
 
-def test_a_folder_without_rollouts_has_none(tmp_path: Path) -> None:
+@pytest.fixture
+def searched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> list[tuple[object, Scenario]]:
+    """Replaces drop and search; returns heap and scenario of each search."""
+    seen: list[tuple[object, Scenario]] = []
+
+    class Found:
+        def __init__(self, scenario: Scenario) -> None:
+            self.scenario = scenario
+
+        def to_dict(self) -> dict[str, Any]:
+            given = self.scenario
+            return record(
+                given.policy.name,
+                given.seed,
+                occupancy=given.perception.occupancy,
+                target_first=given.policy.target_first,
+            )
+
+    def build(scenario: Scenario, *, heap: object) -> Scenario:
+        seen.append((heap, scenario))
+        return scenario
+
+    monkeypatch.setattr(objects, "make_heap", lambda scenario: object())
+    monkeypatch.setattr("xray_drake.search.diagram.build_search_diagram", build)
+    monkeypatch.setattr(rollout, "run_search", Found)
+    return seen
+
+
+def test_all_variants_search_one_heap(
+    searched: list[tuple[object, Scenario]],
+) -> None:
+    scenario = tiny()
+    scenario.perception.occupancy = "learned"
+    wanted = variants(("random", "xray"), ("exact", "posterior"))
+    records = list(run_job(Job(dump_scenario(scenario), 5, wanted)))
+    assert [Variant.of(item) for item in records] == list(wanted)
+    assert len({id(heap) for heap, _ in searched}) == 1
+    used = [
+        (given.policy.name, given.perception.occupancy, given.seed)
+        for _, given in searched
+    ]
+    assert used == [
+        ("random", "learned", 5),
+        ("xray", "exact", 5),
+        ("xray", "posterior", 5),
+    ]
+
+
+def test_a_variant_may_leave_the_target_for_later(
+    searched: list[tuple[object, Scenario]],
+) -> None:
+    wanted = variants(("xray",), ("exact",), target_first=False)
+    (item,) = run_job(Job(dump_scenario(tiny()), 5, wanted))
+    assert item["target_first"] is False
+    assert searched[0][1].policy.target_first is False
+
+
+def test_a_search_that_fails_does_not_end_the_others(
+    searched: list[tuple[object, Scenario]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = rollout.run_search
+
+    def fail(scenario: Scenario) -> Any:
+        if scenario.policy.name == "largest":
+            raise RuntimeError("it\nhangs")
+        return found(scenario)
+
+    monkeypatch.setattr(rollout, "run_search", fail)
+    first, second = run_job(Job(dump_scenario(tiny()), 5, VARIANTS))
+    assert (first["end"], first["reason"]) == ("error", "it hangs")
+    assert first["cpu_seconds"]["drop"] >= 0
+    assert second["end"] == "success"
+
+
+def test_an_interrupted_search_is_no_record(
+    searched: list[tuple[object, Scenario]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stopped:
+        def __init__(self, scenario: Scenario) -> None: ...
+
+        def to_dict(self) -> dict[str, Any]:
+            return record("largest", 5, end="interrupted")
+
+    monkeypatch.setattr(rollout, "run_search", Stopped)
+    with pytest.raises(KeyboardInterrupt):
+        list(run_job(Job(dump_scenario(tiny()), 5, VARIANTS)))
+
+
+def dies_over_random(job: Job, sender: Connection) -> None:
+    """A worker that is killed when it comes to the policy "random"."""
+    for variant in job.variants:
+        if variant.policy == "random":
+            os.kill(os.getpid(), signal.SIGKILL)
+        sender.send(record(variant.policy, job.seed))
+
+
+def test_a_worker_that_dies_costs_one_rollout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rollouts, "_work", dies_over_random)
+    wanted = variants(("largest", "random", "xray"), ("exact",))
+    records = run(tmp_path, variants=wanted)
+    assert keys(records) == keys(read_rollouts(tmp_path))
+    assert keys(records) == [
+        (seed, label)
+        for seed in SEEDS
+        for label in ("largest", "random", "xray (exact)")
+    ]
+    for item in records:
+        if item["policy"] == "random":
+            assert item["end"] == "error"
+            assert "status -9 2 times" in item["reason"]
+        else:
+            assert item["end"] == "success"
+
+
+def fails(job: Job, sender: Connection) -> None:
+    sender.send("TypeError: a fault")
+
+
+def test_a_fault_of_the_program_ends_the_benchmark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rollouts, "_work", fails)
+    with pytest.raises(RuntimeError, match="seed 5: TypeError: a fault"):
+        run(tmp_path)
     assert read_rollouts(tmp_path) == []
-    assert read_rollouts(tmp_path / "none") == []

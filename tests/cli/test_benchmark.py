@@ -1,13 +1,17 @@
-import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from xray_drake.benchmark.report import table
-from xray_drake.benchmark.rollouts import ROLLOUTS, SCENARIO
+from tests.benchmark.synthetic import record, write_folder
+from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
+from xray_drake.benchmark.report import make_report, table_2
+from xray_drake.benchmark.variants import Variant
+from xray_drake.cli import benchmark as module
 from xray_drake.cli.main import app
-from xray_drake.station.scenario import dump_scenario, load_scenario
+from xray_drake.station.scenario import Scenario
 
 
 def benchmark(*arguments: object) -> tuple[int, str, str]:
@@ -18,35 +22,35 @@ def benchmark(*arguments: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def record(seed: int, policy: str, num_actions: int) -> dict:
-    return {
-        "seed": seed,
-        "policy": policy,
-        "end": "success" if num_actions < 10 else "horizon",
-        "success": num_actions < 10,
-        "num_actions": num_actions,
-        "start": {"target_visible_fraction": 0.0, "target_tilt_deg": 0.0},
-        "actions": [{"true_mask_in_support": 1.0}],
-    }
-
-
 @pytest.fixture
 def done(tmp_path: Path) -> Path:
     """A folder of a benchmark that is done, as workers left it."""
-    folder = tmp_path / "done"
-    folder.mkdir()
-    records = [
-        record(31, "xray", 3),
-        record(30, "largest", 10),
-        record(31, "largest", 6),
-        record(30, "xray", 4),
-        record(99, "xray", 10),
-    ]
-    lines = [json.dumps(item) + "\n" for item in records]
-    (folder / ROLLOUTS).write_text("".join(lines), encoding="utf-8")
-    text = dump_scenario(load_scenario("demo"))
-    (folder / SCENARIO).write_text(text, encoding="utf-8")
-    return folder
+    return write_folder(
+        tmp_path / "done",
+        [
+            record("xray", 31, 3),
+            record("largest", 30, 10, "horizon"),
+            record("largest", 31, 6),
+            record("xray", 30, 4),
+            record("xray", 99, 10, "horizon"),
+        ],
+    )
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Runs nothing, and notes what should be run."""
+    seen: dict[str, Any] = {}
+
+    def run(
+        scenario: Scenario, *, folder: Path, **arguments: Any
+    ) -> Iterator[dict]:
+        seen.update(scenario=scenario, **arguments)
+        write_folder(folder, [record("random", 0)])
+        return iter(())
+
+    monkeypatch.setattr(module, "run_rollouts", run)
+    return seen
 
 
 ASKED = ("--heaps", 2, "--seed", 30, "--policies", "largest, xray")
@@ -55,25 +59,102 @@ ASKED = ("--heaps", 2, "--seed", 30, "--policies", "largest, xray")
 def test_the_table_is_of_what_was_asked_for(done: Path) -> None:
     code, out, err = benchmark("--out", done, *ASKED)
     assert (code, err) == (0, "")
-    expected = table(
-        [
-            record(30, "largest", 10),
-            record(31, "largest", 6),
-            record(30, "xray", 4),
-            record(31, "xray", 3),
-        ]
+    records = [
+        record("largest", 30, 10, "horizon"),
+        record("largest", 31, 6),
+        record("xray", 30, 4),
+        record("xray", 31, 3),
+    ]
+    expected = table_2(make_report(Collection(records)))
+    assert "\n".join(expected) in out
+    assert f"xray-drake report {done}" in out
+
+
+def test_targets_in_full_view_are_not_an_error(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "a", [record("random", 0, visible=0.99)])
+    code, out, _ = benchmark(
+        *("--out", folder, "--heaps", 1, "--policies", "random")
     )
-    assert expected in out
-    assert (done / "table.md").read_text(encoding="utf-8") == expected + "\n"
+    assert code == 0
+    assert "there is nothing to report" in out
+
+
+def test_options_reach_the_rollouts(
+    tmp_path: Path, asked: dict[str, Any]
+) -> None:
+    code, _, err = benchmark(
+        *("--out", tmp_path / "a", "--scenario", "table2"),
+        *("--policies", "random,xray", "--occupancy", "posterior, exact"),
+        *("--target", "lid", "--num-objects", 7, "--horizon", 4),
+        *("--execution", "quasi_static", "--detector", "ground_truth"),
+        *("--segmenter", "ground_truth", "--grasps", "models"),
+        *("--no-target-first", "--seed", 20, "--heaps", 3, "--workers", 5),
+    )
+    assert (code, err) == (0, "")
+    scenario = asked["scenario"]
+    assert (scenario.name, scenario.horizon) == ("table2", 4)
+    assert scenario.scene.target == "lid"
+    assert scenario.scene.num_objects == 7
+    # What blind policies are recorded with.
+    assert scenario.perception.occupancy == "posterior"
+    assert asked["variants"] == (
+        Variant("random", "", False),
+        Variant("xray", "posterior", False),
+        Variant("xray", "exact", False),
+    )
+    assert list(asked["seeds"]) == [20, 21, 22]
+    assert asked["workers"] == 5
+
+
+def test_the_scenario_decides_what_is_not_said(
+    tmp_path: Path, asked: dict[str, Any]
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "policy: {target_first: false}\nperception: {occupancy: posterior}\n"
+        "scene: {random_number: {mean: 12}}\n",
+        encoding="utf-8",
+    )
+    benchmark("--out", tmp_path / "a", "--scenario", path, "--policies", "xray")
+    assert asked["variants"] == (Variant("xray", "posterior", False),)
+    assert asked["scenario"].scene.random_number.mean == 12
+    benchmark("--out", tmp_path / "b", "--scenario", path, "--num-objects", 3)
+    assert asked["scenario"].scene.random_number.mean == 0
+
+
+def test_meshes_are_imported_once_before_the_rollouts(
+    tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    imported: list[tuple[Sequence[str], float, int]] = []
+    monkeypatch.setattr(
+        module,
+        "imported_objects",
+        lambda scenario, *, workers: imported.append(
+            (scenario.scene.meshes, scenario.scene.mesh_scale, workers)
+        ),
+    )
+    code, _, _ = benchmark(
+        *("--out", tmp_path / "a", "--meshes", "one", "--meshes", "two"),
+        *("--scale", 0.001, "--workers", 3),
+    )
+    assert code == 0
+    assert imported == [(["one", "two"], 0.001, 3)]
+    assert asked["scenario"].scene.meshes == ["one", "two"]
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
         (("--policies", "xray,greedy"), "greedy"),
+        (("--policies", ","), "--policies"),
+        (("--occupancy", "exact,guess"), "guess"),
+        (("--policies", "random", "--occupancy", "guess"), "guess"),
         (("--scenario", "dmeo"), "dmeo"),
         (("--target", "brick"), "brick"),
         (("--horizon", "0"), "horizon"),
+        (("--num-objects", "0"), "num_objects"),
+        (("--execution", "magic"), "magic"),
+        (("--meshes", "nowhere"), "nowhere"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -95,7 +176,16 @@ def test_rollouts_of_another_scenario_are_left_alone(done: Path) -> None:
     (line,) = err.splitlines()
     assert str(done) in line
     assert (done / SCENARIO).read_bytes() == before
-    assert not (done / "table.md").exists()
+
+
+def test_rollouts_are_not_gone_on_with_against_the_will(done: Path) -> None:
+    before = (done / ROLLOUTS).read_bytes()
+    code, _, err = benchmark("--out", done, *ASKED, "--no-resume")
+    assert code == 2
+    (line,) = err.splitlines()
+    assert str(done) in line
+    assert (done / ROLLOUTS).read_bytes() == before
+    assert benchmark("--out", done, *ASKED, "--resume")[0] == 0
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:

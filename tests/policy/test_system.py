@@ -1,27 +1,29 @@
 """The SearchPolicy alone: inputs fixed, the planner scripted."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.sensors import ImageDepth32F
 
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
     GraspKind,
     GripperMode,
     GripperStatus,
     InstanceMasks,
-    Message,
     OccupancyDistribution,
     Outcome,
     SearchAction,
     TargetMask,
 )
 from xray_drake.policy.ranking import Ranking, SearchView, largest, random
-from xray_drake.policy.system import SearchPolicy
+from xray_drake.policy.system import Foresight, SearchPolicy
 
 NAMES = ("box", "book", "cup")
 BODIES = {"box": 4, "book": 2, "cup": 3}
@@ -75,6 +77,8 @@ class Policy:
         target_first: bool = False,
         min_visible_pixels: int = 50,
         min_grasp_quality: float = 0.0,
+        foresight: Foresight | None = None,
+        truth: bool = False,
         seed: int = 0,
     ) -> None:
         self.system = SearchPolicy(
@@ -84,6 +88,8 @@ class Policy:
             target_first=target_first,
             min_visible_pixels=min_visible_pixels,
             min_grasp_quality=min_grasp_quality,
+            foresight=foresight,
+            truth=truth,
             seed=seed,
         )
         self.simulator = Simulator(self.system)
@@ -94,7 +100,7 @@ class Policy:
         self.fix("status", GripperStatus())
         self.fix_poses(0.0)
 
-    def fix(self, port: str, message: Message) -> None:
+    def fix(self, port: str, message: Any) -> None:
         self.system.GetInputPort(port).FixValue(
             self.context, AbstractValue.Make(message)
         )
@@ -345,3 +351,123 @@ def test_masks_of_another_image() -> None:
     policy.fix("target_mask", TargetMask(np.zeros((5, 5))))
     with pytest.raises(ValueError, match=r"\(5, 5\)"):
         policy.advance()
+
+
+class Inference:
+    """Answers with the mask and notes what it is asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[np.ndarray, np.ndarray, PinholeCamera]] = []
+
+    def infer(
+        self, depth: np.ndarray, target_mask: np.ndarray, camera: PinholeCamera
+    ) -> OccupancyDistribution:
+        self.asked.append((depth, target_mask, camera))
+        return OccupancyDistribution(target_mask)
+
+
+def viewed(
+    views: list[SearchView],
+) -> Callable[[SearchView, np.random.Generator], np.ndarray]:
+    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+        views.append(view)
+        return largest(view, rng)
+
+    return ranking
+
+
+def test_without_foresight_or_truth_a_ranking_has_neither() -> None:
+    views: list[SearchView] = []
+    policy = Policy(Planner("book"), ranking=viewed(views))
+    policy.fix("target_mask", TargetMask(LABELS == 2))
+    policy.advance()
+    (view,) = views
+    assert view.outlook is None
+    assert view.true_mask is None
+    assert view.target == "cup"
+
+
+def test_with_foresight_it_can_infer_from_other_images() -> None:
+    views: list[SearchView] = []
+    inference = Inference()
+    size = np.array([0.04, 0.02, 0.005])
+    policy = Policy(
+        Planner("book"),
+        ranking=viewed(views),
+        foresight=Foresight(inference, size, width=24, height=12),
+    )
+    image = ImageDepth32F(24, 12)
+    image.mutable_data[:, :, 0] = RHO + 0.5
+    camera = PinholeCamera(24, 12, np.eye(3), np.eye(4))
+    policy.fix("depth_image", image)
+    policy.fix("camera", camera)
+    policy.fix("target_mask", TargetMask(LABELS == 2))
+    policy.advance()
+    outlook = views[0].outlook
+    assert outlook is not None
+    np.testing.assert_allclose(outlook.depth, RHO + 0.5, rtol=1e-6)
+    np.testing.assert_array_equal(outlook.target_mask, LABELS == 2)
+    assert outlook.camera is camera
+    np.testing.assert_array_equal(outlook.target_size, size)
+    answer = outlook.infer(RHO, LABELS == 1)
+    np.testing.assert_array_equal(answer.data, LABELS == 1)
+    ((depth, mask, asked),) = inference.asked
+    assert depth is RHO
+    np.testing.assert_array_equal(mask, LABELS == 1)
+    assert asked is camera
+    # The image may change; what the ranking was shown does not.
+    image.mutable_data[:] = 0
+    np.testing.assert_allclose(outlook.depth, RHO + 0.5, rtol=1e-6)
+
+
+def test_with_truth_it_knows_where_the_target_is() -> None:
+    views: list[SearchView] = []
+    policy = Policy(Planner("book"), ranking=viewed(views), truth=True)
+    policy.fix("true_target", TargetMask(LABELS == 1))
+    policy.advance()
+    assert views[0].true_mask is not None
+    np.testing.assert_array_equal(views[0].true_mask, LABELS == 1)
+
+
+def test_a_grasp_that_the_ranking_asked_for_is_planned_once() -> None:
+    planner = Planner("book", "cup")
+
+    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+        assert view.plan is not None
+        return np.array([[view.plan(n).quality] for n in view.candidates])
+
+    action = Policy(planner, ranking=ranking).advance()
+    assert planner.names_asked == ["box", "book", "cup"]
+    assert action.grasp.object == "book"
+    assert action.grasp.width == pytest.approx(0.02)  # of the second question
+
+
+def test_a_ranking_can_think_objects_away() -> None:
+    planner = Planner("book", "cup")
+    poses: list[Mapping[str, np.ndarray]] = []
+
+    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+        assert view.plan is not None
+        for without in (("book",), (), ("book",)):
+            view.plan("cup", without=without)
+            poses.append(planner.poses)
+        return largest(view, rng)
+
+    Policy(planner, ranking=ranking).advance()
+    assert [set(p) for p in poses] == [{"box", "cup"}, set(NAMES), set(NAMES)]
+    assert planner.names_asked == ["cup", "cup", "book"]
+
+
+def test_grasps_that_failed_are_excluded_for_the_ranking_too() -> None:
+    planner = Planner("book", "cup")
+
+    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+        assert view.plan is not None
+        view.plan("book", without=("cup",))
+        return largest(view, rng)
+
+    policy = Policy(planner, ranking=ranking)
+    first = policy.advance().grasp
+    policy.fix("status", GripperStatus(GripperMode.IDLE, 1, Outcome.FAILED))
+    policy.advance()
+    assert planner.asked[-2:] == [("book", (first,)), ("book", (first,))]

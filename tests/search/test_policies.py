@@ -1,13 +1,14 @@
-"""The policies differ in nothing but the ranking."""
+"""The policies differ in nothing but the ranking, and what it is given."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from xray_drake.gripper.quasi_static import QuasiStaticGripper
-from xray_drake.policy import ranking
-from xray_drake.policy.ranking import SearchView
+from xray_drake.policy import policies
+from xray_drake.policy.ranking import RANKINGS, SearchView
 from xray_drake.policy.system import SearchPolicy
 from xray_drake.scene.heap import Heap
 from xray_drake.search import diagram as module
@@ -49,12 +50,25 @@ def stripped(record: SearchRecord) -> dict[str, Any]:
     return data
 
 
-def test_there_are_three() -> None:
-    assert set(POLICIES) == {"xray", "largest", "random"}
-    assert set(ranking.RANKINGS) == set(POLICIES)
+PAPER = ("xray", "largest", "random")
 
 
-def test_one_ranking_under_three_names_gives_one_rollout(
+def test_there_are_the_papers_and_those_beyond() -> None:
+    assert set(RANKINGS) == set(PAPER)
+    assert set(policies.POLICIES) == {
+        *PAPER,
+        "oracle",
+        "memory",
+        "lookahead",
+        "grasp_aware",
+        "combined",
+    }
+    assert set(POLICIES) == set(policies.POLICIES)
+    for name, ranking in RANKINGS.items():
+        assert policies.POLICIES[name] == policies.Policy(ranking)
+
+
+def test_one_ranking_under_any_name_gives_one_rollout(
     tiny_heap: Heap,
     tiny_scenario: Scenario,
     monkeypatch: pytest.MonkeyPatch,
@@ -62,14 +76,16 @@ def test_one_ranking_under_three_names_gives_one_rollout(
     """Planner, candidates, perturbations, seeds: all else is the same."""
     recorders, records = {}, {}
     tiny_scenario.horizon = 2
-    for name in POLICIES:
+    names = (*PAPER, "lookahead")
+    for name in names:
         recorders[name] = Recorder()
-        monkeypatch.setitem(ranking.RANKINGS, name, recorders[name])
+        kind = replace(policies.POLICIES[name], ranking=recorders[name])
+        monkeypatch.setitem(policies.POLICIES, name, kind)
         tiny_scenario.policy.name = name
         diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
         records[name] = run_search(diagram)
         assert records[name].policy == name
-    first, *others = POLICIES
+    first, *others = names
     assert len(recorders[first].seen) == records[first].num_actions >= 2
     for name in others:
         assert recorders[name].seen == recorders[first].seen
@@ -95,15 +111,15 @@ def test_the_systems_are_built_alike(
     for kind in (SearchPolicy, QuasiStaticGripper, module.ModelGraspPlanner):
         monkeypatch.setattr(module, kind.__name__, noting(kind))
     tiny_scenario.policy.target_first = True
-    for name in POLICIES:
+    for name in policies.POLICIES:
         tiny_scenario.policy.name = name
         build_search_diagram(tiny_scenario, heap=tiny_heap)
-    planners, policies, grippers = calls[::3], calls[1::3], calls[2::3]
-    assert [call["ranking"] for call in policies] == [
-        ranking.RANKINGS[name] for name in POLICIES
+    planners, deciders, grippers = calls[::3], calls[1::3], calls[2::3]
+    assert [call["ranking"] for call in deciders] == [
+        kind.ranking for kind in policies.POLICIES.values()
     ]
     for planner, policy, gripper in zip(
-        planners, policies, grippers, strict=True
+        planners, deciders, grippers, strict=True
     ):
         assert policy["planner"] is gripper["judge"] is planner["built"]
         assert planner["seed"] == policy["seed"] == gripper["seed"] == 7
@@ -112,3 +128,51 @@ def test_the_systems_are_built_alike(
         assert policy["target_first"] is True
         assert policy["min_visible_pixels"] == 50
         assert policy["bodies"] == gripper["bodies"]
+
+
+@pytest.mark.parametrize("name", policies.POLICIES)
+def test_each_gets_what_it_needs_and_no_more(
+    name: str, tiny_heap: Heap, tiny_scenario: Scenario
+) -> None:
+    """The truth, above all, reaches the oracle alone."""
+    tiny_scenario.policy.name = name
+    diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
+    boxes = {system.get_name(): system for system in diagram.GetSystems()}
+    policy, inference = boxes["search_policy"], boxes["occupancy_inference"]
+    ports = {
+        policy.get_input_port(i).get_name()
+        for i in range(policy.num_input_ports())
+    }
+    assert ("true_target" in boxes) == ("true_target" in ports)
+    assert ("true_target" in boxes) == (name == "oracle")
+    assert ("search_memory" in boxes) == (name in ("memory", "combined"))
+    imagines = name in ("lookahead", "grasp_aware", "combined")
+    assert ({"depth_image", "camera"} <= ports) == imagines
+    source = boxes.get("search_memory", boxes["heap_station"])
+    output = source.GetOutputPort(
+        "depth_image" if "search_memory" in boxes else "overhead.depth_image"
+    )
+    assert diagram.AreConnected(output, inference.GetInputPort("depth_image"))
+    if imagines:
+        assert diagram.AreConnected(output, policy.GetInputPort("depth_image"))
+    for box in boxes.values():
+        for i in range(box.num_input_ports()):
+            port = box.get_input_port(i)
+            if box is not boxes["heap_station"]:
+                assert any(
+                    diagram.AreConnected(other.get_output_port(k), port)
+                    for other in boxes.values()
+                    for k in range(other.num_output_ports())
+                )
+
+
+@pytest.mark.parametrize("name", ["oracle", "memory", "combined"])
+def test_those_beyond_the_paper_dig_the_target_out(
+    name: str, tiny_heap: Heap, tiny_scenario: Scenario
+) -> None:
+    tiny_scenario.policy.name = name
+    record = run_search(build_search_diagram(tiny_scenario, heap=tiny_heap))
+    assert record.success
+    assert record.policy == name
+    assert "book" in [action.object for action in record.actions]
+    assert all(action.true_mask_in_support > 0.9 for action in record.actions)

@@ -23,7 +23,7 @@ ACTION_KEYS = {
 GRASP_KEYS = {"kind", "X_WG", "width", "quality"}
 """As DESIGN.md has them."""
 
-OUR_RECORD_KEYS = {"start"}
+OUR_RECORD_KEYS = {"start", "target_first"}
 OUR_ACTION_KEYS = {"reason", "true_mask_in_support"}
 """Beyond those; documented in the classes."""
 
@@ -62,6 +62,7 @@ def record(*actions: ActionRecord, end: str = "horizon") -> SearchRecord:
         start={"target_visible_fraction": 0.25, "num_dropped": 3},
         actions=list(actions),
         end=end,
+        target_first=False,
     )
 
 
@@ -82,6 +83,7 @@ def test_values_of_the_record() -> None:
     assert (data["execution"], data["seed"]) == ("quasi_static", 5)
     assert (data["target"], data["objects"]) == ("lid", ["book", "cup"])
     assert (data["horizon"], data["end"]) == (10, "horizon")
+    assert data["target_first"] is False
     first, second = data["actions"]
     assert (first["step"], second["step"]) == (1, 2)
     assert (first["outcome"], second["outcome"]) == ("lifted", "slipped")

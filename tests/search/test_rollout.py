@@ -117,6 +117,15 @@ def test_what_the_record_says_of_each_action(found: SearchRecord) -> None:
         0.16, abs=0.03
     )
     assert found.start["num_dropped"] == 4
+    assert (found.start["attempts"], found.start["redrawn"]) == (1, 0)
+    # Nothing but the book lies on it, and nothing lies on the book.
+    assert found.start["num_covers"] == 1
+    assert found.start["cover_fraction"] == pytest.approx(0.84, abs=0.03)
+    f, book_top = 552.5, 0.8 - 0.025
+    assert found.start["cover_pixels"] == pytest.approx(
+        0.08 * 0.06 * (f / book_top) ** 2, rel=0.03
+    )
+    assert found.target_first is False
     for action in found.actions:
         assert action.grasp
         assert action.grasp.object == action.object

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from xray_drake.scene.heap import drop_heap
-from xray_drake.scene.library import object_names
+from xray_drake.scene.heap import Heap, HeapError, drop_heap
+from xray_drake.scene.library import object_names, split_of
+from xray_drake.station import objects as module
 from xray_drake.station.objects import (
     choose_objects,
     imported_objects,
@@ -19,6 +20,7 @@ from xray_drake.station.scenario import (
     ScenarioError,
     load_scenario,
 )
+from xray_drake.station.start import TargetView, look_at_heap
 
 
 def scenario(seed: int = 10_000, count: int = 3, *meshes: Path) -> Scenario:
@@ -166,6 +168,116 @@ def test_packages_are_drawn_on_request() -> None:
     names = [model.name for model in choose_objects(given)]
     packaged = [name for name in names if name.endswith("_packaged")]
     assert 0.05 < len(packaged) / len(names) < 0.45
+
+
+def test_the_share_of_packages_can_be_set() -> None:
+    """13 of 59, as in the paper, though 42 of 211 are packaged."""
+    given = load_scenario("table2")
+    packaged = total = 0
+    for seed in range(300):
+        given.seed = seed
+        names = [model.name for model in choose_objects(given)]
+        assert len(set(names)) == len(names) == 14
+        packaged += sum(name.endswith("_packaged") for name in names)
+        total += len(names)
+        if seed == 0:
+            assert [m.name for m in choose_objects(given)] == names
+    # Binomial: σ = 0.0064; 42 of 211 are 0.199.
+    assert packaged / total == pytest.approx(13 / 59, abs=0.015)
+
+
+def test_no_object_of_table_2_was_trained_on() -> None:
+    given = load_scenario("table2")
+    names = {
+        model.name.removesuffix("_packaged")
+        for given.seed in range(40)
+        for model in choose_objects(given)
+    }
+    assert len(names) > 100
+    assert all(split_of(name) == "test" for name in names)
+
+
+@pytest.mark.parametrize(("share", "count"), [(1.0, 60), (0.9, 60), (0.1, 60)])
+def test_too_few_packages_come_again(share: float, count: int) -> None:
+    given = load_scenario("table2")
+    given.scene.packaged_share, given.scene.num_objects = share, count
+    assert len({model.name for model in choose_objects(given)}) == count
+
+
+class Drops:
+    """Stands in for drops: heaps that are as visible as is said."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, *visible: float
+    ) -> None:
+        self.seeds: list[int] = []
+        self.objects: list[list[str]] = []
+        self._visible = iter(visible)
+        monkeypatch.setattr(module, "drop_heap", self._drop)
+        monkeypatch.setattr(module, "look_at_heap", self._look)
+
+    def _drop(self, target: Any, objects: Any, seed: int, **_: Any) -> Heap:
+        self.seeds.append(seed)
+        self.objects.append([model.name for model in objects])
+        return Heap(
+            target=target,
+            objects=tuple(objects),
+            poses={},
+            seed=seed,
+            num_dropped=len(objects),
+            attempts=2,
+            settle_time=1.0,
+            failures=(f"seed {seed} failed",),
+        )
+
+    def _look(self, scenario: Scenario, heap: Heap) -> TargetView:
+        return TargetView(400, next(self._visible), 0, 0.0, 0)
+
+
+def test_heaps_that_show_their_target_are_drawn_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given = load_scenario("table2")
+    given.seed = 10_000
+    drops = Drops(monkeypatch, 0.95, 0.91, 0.9)
+    heap = make_heap(given)
+    assert (heap.seed, heap.attempts, heap.redrawn) == (10_000, 6, 2)
+    assert [m.name for m in heap.objects] == drops.objects[2]
+    assert drops.seeds[0] == 10_000
+    assert len(set(drops.seeds)) == 3
+    assert len({tuple(names) for names in drops.objects}) == 3
+    assert len(heap.failures) == 3
+    # Whoever searches it gets the same.
+    given.policy.name = "random"
+    again = Drops(monkeypatch, 0.95, 0.91, 0.9)
+    make_heap(given)
+    assert (again.seeds, again.objects) == (drops.seeds, drops.objects)
+
+
+def test_other_scenarios_take_every_heap(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drops = Drops(monkeypatch)  # nobody looks
+    heap = make_heap(load_scenario("demo"))
+    assert (heap.attempts, heap.redrawn, drops.seeds) == (2, 0, [0])
+
+
+def test_a_scenario_that_never_hides_its_target_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drops = Drops(monkeypatch, *[1.0] * 99)
+    with pytest.raises(HeapError, match="90% of the target"):
+        make_heap(load_scenario("table2"))
+    assert len(drops.seeds) == 51
+
+
+def test_a_heap_is_looked_at_before_it_counts() -> None:
+    """One object does not cover the target in most of the draws."""
+    given = scenario(10_000, 1)
+    given.scene.most_visible = 0.9
+    heap = make_heap(given)
+    assert look_at_heap(given, heap).visible_fraction <= 0.9
+    assert heap.redrawn > 0
 
 
 def test_meshes_in_another_unit(tmp_path: Path) -> None:

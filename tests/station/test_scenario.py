@@ -43,6 +43,21 @@ def test_the_demo_comes_with_the_package() -> None:
     assert demo.policy.min_visible_pixels == 50
 
 
+def test_table_2_is_as_the_protocol_says() -> None:
+    table2 = load_scenario("table2")
+    assert table2.scene.num_objects == 14
+    assert table2.scene.heap.arrangement == "one_by_one"
+    assert (table2.scene.split, table2.scene.packaged) == ("test", True)
+    assert table2.scene.packaged_share == pytest.approx(13 / 59, abs=1e-5)
+    assert table2.scene.most_visible == 0.9
+    assert table2.perception.detector == "ground_truth"
+    assert table2.perception.segmenter == "ground_truth"
+    assert table2.gripper.grasps == "models"
+    assert table2.gripper.execution == "quasi_static"
+    assert table2.horizon == 10
+    assert table2.policy.target_first
+
+
 @pytest.mark.parametrize("name", scenario_names())
 def test_every_scenario_of_the_package_loads(name: str) -> None:
     scenario = load_scenario(name)
@@ -323,6 +338,18 @@ def test_a_scenario_made_in_python_is_checked_too() -> None:
             "scene.random_number.mean is -1.0: it must be from 0 to 100",
         ),
         ("scene: {mesh_scale: 0}", "scene.mesh_scale is 0.0"),
+        (
+            "scene: {most_visible: 90}",
+            "scene.most_visible is 90.0: it must be from 0 to 1",
+        ),
+        (
+            "scene: {packaged: true, packaged_share: -0.1}",
+            "scene.packaged_share is -0.1: it must be from 0 to 1",
+        ),
+        (
+            "scene: {packaged_share: 0.2}",
+            "scene.packaged_share needs scene.packaged: true",
+        ),
         ("scene: {contact: {tumble_time: 0}}", "scene.contact.tumble_time"),
         ("camera_sampling: {enable: true}", "mean camera_sampling.enabled?"),
     ],

@@ -1,172 +1,579 @@
-"""What many rollouts say: the paper's Table II."""
+"""The report of a benchmark: the paper's Table II and Figure 6, and more."""
 
-from collections.abc import Sequence
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.stats import binomtest
+from xray_drake.benchmark.paper import TABLE_II
+from xray_drake.benchmark.records import (
+    Collection,
+    HeapKey,
+    Record,
+    heap_of,
+    in_order,
+)
+from xray_drake.benchmark.statistics import (
+    MOST_VISIBLE,
+    Estimate,
+    Part,
+    action_difference,
+    action_quartiles,
+    actions,
+    containment,
+    draws,
+    drop_seconds,
+    ends,
+    occluded,
+    outcomes,
+    parts,
+    rollout_seconds,
+    seconds_a_rollout,
+    stage_seconds,
+    start_shares,
+    starts,
+    success_difference,
+    success_rate,
+    success_within,
+    within,
+)
+from xray_drake.benchmark.variants import Variant
+from xray_drake.drawing.rollout_figures import actions_figure, success_figure
+from xray_drake.files import write_whole_file
+
+REPORT = "report.md"
+FIGURES = "report.csv"
+ACTIONS = "actions.png"
+SUCCESS = "success.png"
+
+_COLUMNS = (
+    *("part", "variant", "against", "quantity"),
+    *("value", "low", "high", "heaps"),
+)
 
 
-@dataclass(frozen=True)
-class PolicySummary:
-    """How one policy did.
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a report says, before it is written in one way or another.
 
     Attributes:
-        policy: its name.
-        rollouts: how many, errors included.
-        successes: how many found the target.
-        low, high: Wilson 95 % interval of the success rate.
-        quartiles: of the number of actions over successes; NaN without any.
-        ends: end to how many rollouts.
+        records: all, in order.
+        counted: those whose heaps count (PROTOCOL.md, "Which heaps count").
+        by_variant: of those, by variant, in order.
+        parts: of their heaps.
+        scenario: its name.
+        horizon: actions at most.
     """
 
-    policy: str
-    rollouts: int
-    successes: int
-    low: float
-    high: float
-    quartiles: tuple[float, float, float]
-    ends: dict[str, int]
-
-    @property
-    def rate(self) -> float:
-        """Share of successes."""
-        return self.successes / self.rollouts
+    records: list[Record]
+    counted: list[Record]
+    by_variant: dict[Variant, list[Record]]
+    parts: list[Part]
+    scenario: str
+    horizon: int
 
 
-def summarize(records: Sequence[dict[str, Any]]) -> list[PolicySummary]:
-    """Summarises records by policy, in the order of their first record."""
-    summaries = []
-    for policy in dict.fromkeys(record["policy"] for record in records):
-        own = [record for record in records if record["policy"] == policy]
-        actions = [r["num_actions"] for r in own if r["success"]]
-        interval = binomtest(len(actions), len(own)).proportion_ci(
-            method="wilson"
+def make_report(collection: Collection) -> Report:
+    """Sorts out records.
+
+    Raises:
+        ValueError: there are none whose heaps count.
+    """
+    records = in_order(collection.records)
+    counted = occluded(records)
+    if not counted:
+        raise ValueError(
+            f"there is nothing to report: of {len(records)} rollouts none is "
+            f"of a heap whose target starts at most {MOST_VISIBLE:.0%} visible"
         )
-        quartiles = (
-            np.percentile(actions, [25, 50, 75]) if actions else [np.nan] * 3
-        )
-        ends = [record["end"] for record in own]
-        summaries.append(
-            PolicySummary(
-                policy=policy,
-                rollouts=len(own),
-                successes=len(actions),
-                low=float(interval.low),
-                high=float(interval.high),
-                quartiles=(
-                    float(quartiles[0]),
-                    float(quartiles[1]),
-                    float(quartiles[2]),
-                ),
-                ends={end: ends.count(end) for end in dict.fromkeys(ends)},
-            )
-        )
-    return summaries
-
-
-def start_shares(records: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Returns how the heaps' targets start: shares of the heaps.
-
-    Args:
-        records: of any policies; each heap counts once.
-
-    Returns:
-        ``hidden`` (no pixel visible), ``partial``, ``visible`` (more than 90 %
-        visible: such heaps do not count as occluded) and ``tilted`` (by more
-        than 5°).
-    """
-    heaps = {
-        record["seed"]: record["start"]
-        for record in records
-        if "target_visible_fraction" in record.get("start", {})
-    }
-    if not heaps:
-        return {}
-    seen = np.array([s["target_visible_fraction"] for s in heaps.values()])
-    tilt = np.array([s["target_tilt_deg"] for s in heaps.values()])
-    return {
-        "hidden": float(np.mean(seen == 0)),
-        "partial": float(np.mean((seen > 0) & (seen <= 0.9))),
-        "visible": float(np.mean(seen > 0.9)),
-        "tilted": float(np.mean(tilt > 5)),
-    }
-
-
-def containment(
-    records: Sequence[dict[str, Any]], *, share: float = 0.95
-) -> tuple[float, float]:
-    """Says how often inference kept the true place of the target inside.
-
-    Args:
-        records: of any policies; the first decision of each heap counts.
-        share: of the true amodal mask that must lie in the support.
-
-    Returns:
-        Share of the heaps in which that much, and in which all of the mask
-        lay in the support.
-    """
-    first = {
-        r["seed"]: r["actions"][0].get("true_mask_in_support")
-        for r in records
-        if r.get("actions")
-    }
-    inside = np.array([share for share in first.values() if share is not None])
-    if not inside.size:
-        return float("nan"), float("nan")
-    return float(np.mean(inside >= share)), float(np.mean(inside >= 1.0))
-
-
-def occluded(
-    records: Sequence[dict[str, Any]], *, visible: float = 0.9
-) -> list[dict[str, Any]]:
-    """Returns the records whose target starts at most this visible."""
-    return [
-        r
-        for r in records
-        if r.get("start", {}).get("target_visible_fraction", 0.0) <= visible
-    ]
-
-
-def table(records: Sequence[dict[str, Any]]) -> str:
-    """Returns the paper's Table II as Markdown.
-
-    All heaps, then those that count as occluded (at most 90 % visible), then
-    how they start and how often the true place was in the support.
-    """
-    some, whole = containment(records)
-    shares = ", ".join(
-        f"{name} {share:.0%}" for name, share in start_shares(records).items()
+    by_variant: dict[Variant, list[Record]] = {}
+    for record in counted:
+        by_variant.setdefault(Variant.of(record), []).append(record)
+    return Report(
+        records=records,
+        counted=counted,
+        by_variant=by_variant,
+        parts=parts(counted),
+        scenario=collection.scenario,
+        horizon=max(record.get("horizon", 1) for record in records),
     )
+
+
+def write_report(report: Report, folder: Path) -> tuple[Path, ...]:
+    """Writes the report as Markdown and CSV with two figures.
+
+    The same records give the same files, whatever order they came in.
+
+    Args:
+        report: what to write.
+        folder: made if it does not exist.
+
+    Returns:
+        The files.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = {v.label: actions(r) for v, r in report.by_variant.items()}
+    rollouts = {v.label: len(r) for v, r in report.by_variant.items()}
+    rates = {
+        variant.label: success_within(records, report.horizon)
+        for variant, records in report.by_variant.items()
+    }
+    contents = {
+        folder / REPORT: markdown(report).encode(),
+        folder / FIGURES: comma_separated(report).encode(),
+    }
+    for name, figure in (
+        (ACTIONS, actions_figure(numbers, rollouts, horizon=report.horizon)),
+        (SUCCESS, success_figure(rates)),
+    ):
+        image = io.BytesIO()
+        figure.savefig(image, format="png")
+        contents[folder / name] = image.getvalue()
+    for path, data in contents.items():
+        write_whole_file(path, data)
+    return tuple(contents)
+
+
+def markdown(report: Report) -> str:
+    """Returns the whole report as Markdown."""
     return "\n".join(
         [
-            "All heaps:",
+            f"# Benchmark of the scenario `{report.scenario}`",
             "",
-            *_rows(records),
+            *_heaps(report),
             "",
-            "Heaps whose target starts at most 90 % visible:",
+            "## Success (the paper's Table II)",
             "",
-            *_rows(occluded(records)),
+            *table_2(report),
             "",
-            f"Targets at the start: {shares}.",
+            f"![Number of actions]({ACTIONS})",
             "",
-            f"The support held at least 95 % of the target's true amodal mask "
-            f"in {some:.0%} of the heaps, all of it in {whole:.0%}.",
+            "## Differences",
+            "",
+            *_differences(report),
+            "",
+            "## Success within k actions",
+            "",
+            *_success_within(report),
+            "",
+            f"![Success within k actions]({SUCCESS})",
+            "",
+            "## Success by how the target starts",
+            "",
+            *_success_by_part(report),
+            "",
+            "## How rollouts end",
+            "",
+            *_ends(report),
+            "",
+            "## Time",
+            "",
+            *_times(report),
+            "",
+            "## Inference",
+            "",
+            *_inference(report),
+            "",
         ]
     )
 
 
-def _rows(records: Sequence[dict[str, Any]]) -> list[str]:
-    lines = [
-        "| policy | success rate | 95 % interval | actions, quartiles | ends |",
-        "|---|---|---|---|---|",
+def table_2(report: Report) -> list[str]:
+    """Returns the paper's Table II as lines of Markdown, its figures beside."""
+    rows = []
+    for variant, records in report.by_variant.items():
+        paper = TABLE_II.get(variant.policy)
+        rows.append(
+            [
+                variant.label,
+                *_rate_cells(success_rate(records)),
+                _quartiles(records),
+                f"{100 * paper.rate:.0f} %" if paper else "",
+                ", ".join(map(str, paper.quartiles)) if paper else "",
+            ]
+        )
+    return [
+        *_table(
+            (
+                "policy",
+                "success rate",
+                "95 % interval",
+                "rollouts",
+                "actions, quartiles",
+                "paper: rate",
+                "paper: actions",
+            ),
+            rows,
+        ),
+        "",
+        "Quartiles are of the number of actions over successes. Intervals are "
+        "Wilson's. The paper's figures are of 1,000 heaps of its own objects "
+        "and physics, its X-Ray of its own network.",
     ]
-    for s in summarize(records):
-        quartiles = ", ".join(f"{q:g}" for q in s.quartiles)
-        ends = ", ".join(f"{end} {count}" for end, count in s.ends.items())
-        lines.append(
-            f"| {s.policy} | {s.rate:.0%} of {s.rollouts} | "
-            f"{s.low:.0%} to {s.high:.0%} | {quartiles} | {ends} |"
+
+
+def comma_separated(report: Report) -> str:
+    """Returns all figures of the report, one a line, as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for row in _quantities(report):
+        writer.writerow(
+            {
+                key: round(value, 6) if isinstance(value, float) else value
+                for key, value in row.items()
+                if not (isinstance(value, float) and math.isnan(value))
+            }
+        )
+    return text.getvalue()
+
+
+def _heaps(report: Report) -> list[str]:
+    heaps: dict[HeapKey, None] = dict.fromkeys(map(heap_of, report.records))
+    targets = sorted({target for target, _ in heaps})
+    seeds = sorted({seed for _, seed in heaps})
+    versions = sorted(
+        {
+            ", ".join(f"{name} {number}" for name, number in found.items())
+            for record in report.records
+            if (found := record.get("versions"))
+        }
+    )
+    shares = ", ".join(
+        f"{_percent(share)} {name}"
+        for name, share in start_shares(report.records).items()
+    )
+    count = draws(report.records)
+    lines = [
+        f"{len(report.records)} rollouts on {len(heaps)} heaps (seeds "
+        f"{seeds[0]} to {seeds[-1]}) with the target {', '.join(targets)}; "
+        f"horizon {report.horizon}. Targets at the start: {shares or '–'}.",
+    ]
+    if count["drawn"]:
+        lines += [
+            "",
+            f"Of {count['drawn']} heaps drawn, {count['visible']} "
+            f"({_percent(count['visible'] / count['drawn'])}) showed too much "
+            f"of the target and {count['failed']} did not come to rest; they "
+            "were drawn again.",
+        ]
+    left_out = len(report.records) - len(report.counted)
+    if left_out:
+        lines += [
+            "",
+            "Rollouts left out below, since their targets start more than "
+            f"{100 * MOST_VISIBLE:.0f} % visible: {left_out}.",
+        ]
+    if versions:
+        lines += ["", f"Versions: {'; '.join(versions)}."]
+    return lines
+
+
+def _pairs(report: Report) -> Iterator[tuple[Variant, Variant]]:
+    """Yields pairs of variants, the later one of the order first."""
+    found = list(report.by_variant)
+    for i, variant in enumerate(found):
+        for other in found[:i]:
+            yield variant, other
+
+
+def _differences(report: Report) -> list[str]:
+    rows = []
+    for variant, other in _pairs(report):
+        ours, theirs = report.by_variant[variant], report.by_variant[other]
+        fewer = action_difference(ours, theirs)
+        rows.append(
+            [
+                f"{variant.label} − {other.label}",
+                *(
+                    _points(
+                        success_difference(within(ours, p), within(theirs, p))
+                    )
+                    for p in report.parts
+                ),
+                _interval(fewer, "{:+.2f}"),
+            ]
+        )
+    if not rows:
+        return ["There is one variant alone."]
+    return [
+        *_table(
+            (
+                "difference",
+                *_titles(report.parts),
+                "actions where both succeed",
+            ),
+            rows,
+        ),
+        "",
+        "Success rates in percentage points on the heaps that both searched, "
+        "with the 95 % interval of a bootstrap that draws heaps.",
+        *_about_parts(report),
+    ]
+
+
+def _success_within(report: Report) -> list[str]:
+    steps = range(1, report.horizon + 1)
+    return _table(
+        ("policy", *map(str, steps)),
+        [
+            [
+                variant.label,
+                *map(_percent, success_within(records, report.horizon)),
+            ]
+            for variant, records in report.by_variant.items()
+        ],
+    )
+
+
+def _success_by_part(report: Report) -> list[str]:
+    rows = []
+    for variant, records in report.by_variant.items():
+        cells = []
+        for part in report.parts:
+            rate = success_rate(within(records, part))
+            cells.append(
+                f"{_percent(rate.value)} ({_range(rate)})" if rate.heaps else ""
+            )
+        rows.append([variant.label, *cells])
+    return [
+        *_table(("policy", *_titles(report.parts)), rows),
+        *_about_parts(report),
+    ]
+
+
+def _about_parts(report: Report) -> list[str]:
+    """Says what the thirds by cover are, where there are some."""
+    if not any(part.key.startswith("cover") for part in report.parts):
+        return []
+    return [
+        "",
+        "Cover: visible pixels of the object that covers most of the target "
+        "at the start, in multiples of the target's own silhouette; a third "
+        "of the heaps each.",
+    ]
+
+
+def _ends(report: Report) -> list[str]:
+    found = {v: ends(records) for v, records in report.by_variant.items()}
+    names = sorted({end for counts in found.values() for end in counts})
+    names.sort(key=lambda end: end != "success")
+    tried = {v: outcomes(records) for v, records in report.by_variant.items()}
+    kinds = sorted({kind for counts in tried.values() for kind in counts})
+    lines = _table(
+        ("policy", *names, *(f"attempts: {kind}" for kind in kinds)),
+        [
+            [
+                variant.label,
+                *(str(found[variant][end]) for end in names),
+                *(str(tried[variant][kind]) for kind in kinds),
+            ]
+            for variant in report.by_variant
+        ],
+    )
+    reasons = sorted(
+        {
+            f"- seed {record['seed']}, {Variant.of(record).label}: "
+            f"{record.get('reason', '')}"
+            for record in report.counted
+            if record["end"] == "error"
+        }
+    )
+    return [*lines, *([""] if reasons else []), *reasons]
+
+
+def _times(report: Report) -> list[str]:
+    found = {v: stage_seconds(r) for v, r in report.by_variant.items()}
+    stages = list(dict.fromkeys(s for times in found.values() for s in times))
+    lines = _table(
+        (
+            "policy",
+            *(f"{stage}, ms" for stage in stages),
+            "rollout, core-seconds",
+        ),
+        [
+            [
+                variant.label,
+                *(
+                    _number(1000 * found[variant].get(stage, math.nan), ".1f")
+                    for stage in stages
+                ),
+                _number(rollout_seconds(records), ".2f"),
+            ]
+            for variant, records in report.by_variant.items()
+        ],
+    )
+    lines += ["", "Stages are means of a decision's wall time."]
+    total = seconds_a_rollout(report.records)
+    if not math.isnan(total):
+        lines[-1] += (
+            f" The drop of a heap took {drop_seconds(report.records):.2f} "
+            f"core-seconds; counted once a heap, it makes {total:.2f} "
+            "core-seconds a rollout."
         )
     return lines
+
+
+def _inference(report: Report) -> list[str]:
+    used: dict[str, list[Record]] = {}
+    for record in report.counted:
+        if record.get("actions"):
+            used.setdefault(record["occupancy"], []).append(record)
+    rows = []
+    for occupancy in sorted(used):
+        some, whole = containment(used[occupancy])
+        heaps = len({heap_of(record) for record in used[occupancy]})
+        rows.append([occupancy, _percent(some), _percent(whole), str(heaps)])
+    return [
+        "Heaps at whose first decision the support held at least 95 % of the "
+        "target's true amodal mask, and all of it:",
+        "",
+        *_table(("inference", "95 %", "all", "heaps"), rows),
+    ]
+
+
+def _quantities(report: Report) -> Iterator[dict[str, Any]]:
+    """Yields the lines of the CSV file."""
+    for part in report.parts:
+        for variant, records in report.by_variant.items():
+            own = within(records, part)
+            if own:
+                yield from _of_variant(part, variant, own, report.horizon)
+        for variant, other in _pairs(report):
+            pair = [
+                within(report.by_variant[v], part) for v in (variant, other)
+            ]
+            for quantity, estimate in (
+                ("success_rate", success_difference(*pair)),
+                ("actions_where_both_succeed", action_difference(*pair)),
+            ):
+                if estimate.heaps:
+                    yield {
+                        "part": part.key,
+                        "variant": variant.label,
+                        "against": other.label,
+                        "quantity": quantity,
+                        **_columns(estimate),
+                    }
+    for policy, row in TABLE_II.items():
+        for quantity, value in (
+            ("success_rate", row.rate),
+            *zip(_QUARTILES, row.quartiles, strict=True),
+        ):
+            yield {
+                "part": "paper",
+                "variant": policy,
+                "quantity": quantity,
+                "value": value,
+                "heaps": 1000,
+            }
+    yield {
+        "part": "all",
+        "quantity": "core_seconds_a_rollout",
+        "value": seconds_a_rollout(report.records),
+        "heaps": len(starts(report.records)),
+    }
+
+
+_QUARTILES = (
+    "actions_lower_quartile",
+    "actions_median",
+    "actions_upper_quartile",
+)
+
+
+def _of_variant(
+    part: Part, variant: Variant, records: list[Record], horizon: int
+) -> Iterator[dict[str, Any]]:
+    base = {"part": part.key, "variant": variant.label}
+    rate = success_rate(records)
+    yield base | {"quantity": "success_rate", **_columns(rate)}
+    values: dict[str, float] = dict(
+        zip(_QUARTILES, action_quartiles(records), strict=True)
+    )
+    for k, value in enumerate(success_within(records, horizon), 1):
+        values[f"success_within_{k}"] = value
+    values |= {f"end_{end}": n for end, n in sorted(ends(records).items())}
+    values |= {
+        f"attempts_{kind}": n for kind, n in sorted(outcomes(records).items())
+    }
+    values |= {
+        f"seconds_{stage}": value
+        for stage, value in stage_seconds(records).items()
+    }
+    values["core_seconds"] = rollout_seconds(records)
+    for quantity, value in values.items():
+        yield base | {
+            "quantity": quantity,
+            "value": value,
+            "heaps": len(records),
+        }
+
+
+def _columns(estimate: Estimate) -> dict[str, float]:
+    return {
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "heaps": estimate.heaps,
+    }
+
+
+def _titles(found: Sequence[Part]) -> list[str]:
+    return [f"{part.title} ({len(part.heaps)})" for part in found]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [
+        f"| {' | '.join(cells)} |"
+        for cells in (head, ["---"] * len(head), *rows)
+    ]
+
+
+def _quartiles(records: Sequence[Record]) -> str:
+    if not actions(records):
+        return "–"
+    return ", ".join(_number(number) for number in action_quartiles(records))
+
+
+def _rate_cells(rate: Estimate) -> list[str]:
+    return [_percent(rate.value), _range(rate), str(rate.heaps)]
+
+
+def _range(rate: Estimate) -> str:
+    return f"{_percent(rate.low)} to {_percent(rate.high)}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def _points(difference: Estimate) -> str:
+    """Returns a difference of rates in percentage points."""
+    scaled = Estimate(
+        100 * difference.value,
+        100 * difference.low,
+        100 * difference.high,
+        difference.heaps,
+    )
+    return _interval(scaled, "{:+.1f}")
+
+
+def _interval(estimate: Estimate, form: str) -> str:
+    if not estimate.heaps:
+        return ""
+    value, low, high = (
+        form.format(number).replace("-", "−")
+        for number in (estimate.value, estimate.low, estimate.high)
+    )
+    return f"{value} ({low} to {high})"
+
+
+def _number(value: float, form: str = "g") -> str:
+    return "–" if math.isnan(value) else format(value, form)

@@ -3,45 +3,57 @@
 import gc
 import json
 import multiprocessing
+import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
+from xray_drake.benchmark.records import (
+    ROLLOUTS,
+    SCENARIO,
+    Record,
+    check_folder,
+    heap_of,
+    read_rollouts,
+    shared_scenario,
+)
+from xray_drake.benchmark.variants import Variant
 from xray_drake.files import write_whole_file
 from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
 from xray_drake.threads import limit_threads
 
-ROLLOUTS = "rollouts.jsonl"
-SCENARIO = "scenario.yaml"
-
-_HEAPS_PER_WORKER = 4
-"""Then the worker processes are replaced: each rollout leaves some 90 MB, since
-diagrams with systems in Python are in reference cycles through C++."""
+_ATTEMPTS = 2
+"""How often a rollout is tried whose process dies (killed for memory, say)."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """All policies on one heap.
+    """All variants on one heap.
 
     Attributes:
-        scenario: as YAML.
+        scenario: as YAML; seed, policy and occupancy are replaced.
         seed: of the heap.
-        policies: not done yet.
+        variants: not done yet.
     """
 
     scenario: str
     seed: int
-    policies: tuple[str, ...]
+    variants: tuple[Variant, ...]
 
 
-def run_job(job: Job) -> list[dict[str, Any]]:
-    """Drops a heap once and runs each policy on it, in a worker process.
+def run_job(job: Job) -> Iterator[Record]:
+    """Drops a heap once and runs each variant on it, in a worker process.
 
-    Returns:
-        One record a policy. A heap that cannot be dropped, or a rollout that
-        fails, gives records with ``end`` set to "error" and a ``reason``.
+    Yields:
+        The record of each variant as it ends. A heap that cannot be dropped,
+        or a rollout that fails, gives records with ``end`` set to "error" and
+        a ``reason``.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C.
     """
     # Imported in the worker, after its threads are limited.
     from xray_drake.search.diagram import build_search_diagram
@@ -50,122 +62,195 @@ def run_job(job: Job) -> list[dict[str, Any]]:
 
     scenario = parse_scenario(job.scenario, "benchmark")
     scenario.seed = job.seed
-    heap, records = None, []
-    for policy in job.policies:
-        scenario.policy.name = policy
+    start = time.process_time()
+    try:
+        heap = make_heap(scenario)
+    except RuntimeError as error:
+        for variant in job.variants:
+            yield _failure(scenario, variant, error)
+        return
+    dropped = time.process_time() - start
+    for variant in job.variants:
+        start = time.process_time()
         try:
-            if heap is None:
-                heap = make_heap(scenario)
-            diagram = build_search_diagram(scenario, heap=heap)
+            diagram = build_search_diagram(
+                _configured(scenario, variant), heap=heap
+            )
             record = run_search(diagram).to_dict()
         except RuntimeError as error:
-            reason = " ".join(str(error).split())
-            record = {
-                "seed": job.seed,
-                "policy": policy,
-                "target": scenario.scene.target,
-                "success": False,
-                "num_actions": 0,
-                "end": "error",
-                "reason": reason,
-            }
-        records.append(record)
+            record = _failure(scenario, variant, error)
+        if record["end"] == "interrupted":
+            raise KeyboardInterrupt
+        record["cpu_seconds"] = {
+            "drop": round(dropped, 3),
+            "rollout": round(time.process_time() - start, 3),
+        }
+        yield record
         gc.collect()
-    return records
 
 
 def run_rollouts(
     scenario: Scenario,
     *,
-    policies: Sequence[str],
+    variants: Sequence[Variant],
     seeds: Sequence[int],
     folder: Path,
     workers: int,
-) -> Iterator[dict[str, Any]]:
-    """Runs every policy on the same heaps and yields each record as it ends.
+) -> Iterator[Record]:
+    """Runs every variant on the same heaps and yields each record as it ends.
 
     Each record is a line of ``folder/rollouts.jsonl``, written as it comes.
     What the file already holds is not run again.
 
     Args:
-        scenario: seed and policy are replaced.
-        policies: names of rankings.
+        scenario: seed and policy are replaced, and the inference where the
+            policy looks at the distribution.
+        variants: what to compare.
         seeds: one heap each.
         folder: made if it does not exist.
-        workers: processes; each uses one thread.
+        workers: processes at a time; each uses one thread.
 
     Raises:
         ValueError: the folder holds rollouts of another scenario.
         OSError: it cannot be written.
+        RuntimeError: a worker failed otherwise than by its simulation.
     """
-    text = dump_scenario(scenario)
+    shared = shared_scenario(scenario)
     folder.mkdir(parents=True, exist_ok=True)
-    check_folder(folder, text)
-    (folder / SCENARIO).write_text(text, encoding="utf-8")
+    check_folder(folder, shared)
+    (folder / SCENARIO).write_text(shared, encoding="utf-8")
     records = read_rollouts(folder)
     # Without a line cut short, to which the next record would be added.
     lines = [json.dumps(record) + "\n" for record in records]
     write_whole_file(folder / ROLLOUTS, "".join(lines).encode())
-    done = {(r["seed"], r["policy"]) for r in records}
+    text, target = dump_scenario(scenario), scenario.scene.target
+    done = {(Variant.of(r), heap_of(r)) for r in records}
     jobs = []
     for seed in seeds:
-        missing = tuple(p for p in policies if (seed, p) not in done)
+        missing = tuple(v for v in variants if (v, (target, seed)) not in done)
         if missing:
             jobs.append(Job(text, seed, missing))
-    limit_threads()  # the workers', which inherit it
-    batch = workers * _HEAPS_PER_WORKER
     with (folder / ROLLOUTS).open("a", encoding="utf-8") as file:
-        for start in range(0, len(jobs), batch):
-            for record in _run_batch(jobs[start : start + batch], workers):
-                file.write(json.dumps(record) + "\n")
-                file.flush()
-                yield record
+        for record in _run_jobs(jobs, workers):
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+            yield record
 
 
-def _run_batch(jobs: Sequence[Job], workers: int) -> Iterator[dict[str, Any]]:
-    """Runs jobs in processes that end with the batch.
+def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[Record]:
+    """Runs jobs, each in a process of its own.
 
-    ``max_tasks_per_child`` would free the memory too, but Python 3.11's
-    executor hangs when it replaces a worker.
+    A process ends with its heap, so that memory does not grow: each rollout
+    leaves some 90 MB, since diagrams with systems in Python are in reference
+    cycles through C++.
     """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(run_job, job) for job in jobs]
-        try:
-            for future in as_completed(futures):
-                yield from future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    limit_threads()  # the workers', which inherit it
+    context = multiprocessing.get_context("forkserver")
+    # Forked from a server that has imported everything, a process starts at
+    # once; one that is spawned takes seconds.
+    context.set_forkserver_preload(["xray_drake.search.rollout"])
+    waiting = [(job, 1) for job in reversed(jobs)]
+    running: dict[Connection, tuple[BaseProcess, Job, int]] = {}
+    with ExitStack() as stack:
+        stack.callback(_stop, running)
+        while waiting or running:
+            while waiting and len(running) < workers:
+                job, attempt = waiting.pop()
+                receiver, sender = context.Pipe(duplex=False)
+                process: BaseProcess = context.Process(
+                    target=_work, args=(job, sender)
+                )
+                process.start()
+                sender.close()
+                running[receiver] = process, job, attempt
+            for ready in wait(list(running)):
+                assert isinstance(ready, Connection)
+                process, job, attempt = running[ready]
+                try:
+                    message = ready.recv()
+                except EOFError:
+                    message = None
+                if isinstance(message, dict):
+                    left = tuple(
+                        v for v in job.variants if v != Variant.of(message)
+                    )
+                    running[ready] = process, replace(job, variants=left), 1
+                    yield message
+                    continue
+                del running[ready]
+                ready.close()
+                process.join()
+                if isinstance(message, str):
+                    raise RuntimeError(f"heap of seed {job.seed}: {message}")
+                if process.exitcode == 0 or not job.variants:
+                    continue
+                if attempt < _ATTEMPTS:
+                    waiting.append((job, attempt + 1))
+                    continue
+                first, *others = job.variants
+                yield _failure(
+                    parse_scenario(job.scenario, "benchmark"),
+                    first,
+                    f"its process died with status {process.exitcode} "
+                    f"{attempt} times",
+                    seed=job.seed,
+                )
+                if others:
+                    waiting.append((replace(job, variants=tuple(others)), 1))
 
 
-def check_folder(folder: Path, scenario: str) -> None:
-    """Checks that a folder's rollouts are of this scenario.
+def _work(job: Job, sender: Connection) -> None:
+    # What is imported stays: the collector need not look at it.
+    gc.freeze()
+    try:
+        for record in run_job(job):
+            sender.send(record)
+    except KeyboardInterrupt:
+        return
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        sender.send(f"{type(error).__name__}: {reason}")
+        raise
 
-    Raises:
-        ValueError: they are of another.
-    """
-    path = folder / SCENARIO
-    if path.is_file() and path.read_text(encoding="utf-8") != scenario:
-        raise ValueError(
-            f"{folder} holds rollouts of another scenario: choose another "
-            "--out, or remove it"
-        )
+
+def _stop(running: dict[Connection, tuple[BaseProcess, Job, int]]) -> None:
+    for process, *_ in running.values():
+        process.terminate()
+    for process, *_ in running.values():
+        process.join()
 
 
-def read_rollouts(folder: Path) -> list[dict[str, Any]]:
-    """Reads the records of a folder; a line cut short by a kill is left out.
+def _configured(scenario: Scenario, variant: Variant) -> Scenario:
+    perception = scenario.perception
+    if variant.occupancy:
+        perception = replace(perception, occupancy=variant.occupancy)
+    return replace(
+        scenario,
+        policy=replace(
+            scenario.policy,
+            name=variant.policy,
+            target_first=variant.target_first,
+        ),
+        perception=perception,
+    )
 
-    Args:
-        folder: of :func:`run_rollouts`; without a file there are none.
-    """
-    path = folder / ROLLOUTS
-    if not path.is_file():
-        return []
-    records = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            records.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return records
+
+def _failure(
+    scenario: Scenario,
+    variant: Variant,
+    reason: object,
+    *,
+    seed: int | None = None,
+) -> Record:
+    return {
+        "success": False,
+        "num_actions": 0,
+        "horizon": scenario.horizon,
+        "policy": variant.policy,
+        "target_first": variant.target_first,
+        "occupancy": variant.occupancy,
+        "seed": scenario.seed if seed is None else seed,
+        "target": scenario.scene.target,
+        "end": "error",
+        "reason": " ".join(str(reason).split()),
+    }

@@ -15,6 +15,7 @@ from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.evaluate import app as evaluate_app
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
+from xray_drake.cli.report import report
 from xray_drake.cli.train import train
 
 app = typer.Typer(
@@ -161,6 +162,14 @@ def benchmark(
     policies: Annotated[
         str, typer.Option(help="Names with commas between.")
     ] = "random,largest,xray",
+    occupancy: Annotated[
+        str,
+        typer.Option(
+            help="learned, posterior, exact, or some with commas between: "
+            "policies that look at the distribution run with each. By default "
+            "the scenario's."
+        ),
+    ] = "",
     heaps: Annotated[int, typer.Option(min=1, help="How many heaps.")] = 30,
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the first; then one by one.")
@@ -169,35 +178,66 @@ def benchmark(
         int, typer.Option(min=1, help="Processes.")
     ] = os.cpu_count() or 1,
     target: Annotated[str | None, typer.Option(help="Replaces it.")] = None,
+    num_objects: Annotated[
+        int | None, typer.Option(help="Distractors to drop.")
+    ] = None,
+    meshes: _Meshes = None,
+    scale: _Scale = None,
     horizon: Annotated[
         int | None, typer.Option(help="Actions at most.")
     ] = None,
     target_first: Annotated[
         bool | None, typer.Option("--target-first/--no-target-first")
     ] = None,
+    execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(help="File of a network's weights, or a folder of them."),
+    ] = None,
+    detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
+    segmenter: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
+    grasps: Annotated[str | None, typer.Option(help="models.")] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume/--no-resume",
+            help="Go on with what the folder holds, or refuse it.",
+        ),
+    ] = True,
 ) -> None:
     """Run policies on the same heaps and print the paper's Table II."""
-    from xray_drake.cli.benchmark import run
-    from xray_drake.cli.search import configure
+    from xray_drake.cli.benchmark import BenchmarkOptions, run
 
     with errors_as_lines():
-        names = tuple(name.strip() for name in policies.split(","))
-        for name in names:
-            configure(scenario, {"policy.name": name})
         run(
-            configure(
-                scenario,
-                {
+            BenchmarkOptions(
+                out=out,
+                scenario=scenario,
+                overrides={
                     "scene.target": target,
+                    "scene.num_objects": num_objects,
+                    "scene.random_number.mean": None
+                    if num_objects is None
+                    else 0.0,
+                    "scene.meshes": [str(m) for m in meshes]
+                    if meshes
+                    else None,
+                    "scene.mesh_scale": scale,
                     "horizon": horizon,
-                    "policy.target_first": target_first,
+                    "gripper.execution": execution,
+                    "gripper.grasps": grasps,
+                    "perception.weights": weights,
+                    "perception.detector": detector,
+                    "perception.segmenter": segmenter,
                 },
+                policies=policies,
+                occupancy=occupancy,
+                target_first=target_first,
+                seeds=range(seed, seed + heaps),
+                workers=workers,
+                resume=resume,
             ),
-            policies=names,
-            seeds=range(seed, seed + heaps),
-            folder=out,
-            workers=workers,
-            console=Console(),
+            Console(),
         )
 
 
@@ -302,6 +342,7 @@ def doctor() -> None:
     raise typer.Exit(run(Console()))
 
 
+app.command()(report)
 app.command()(inspect)
 app.command()(train)
 app.add_typer(dataset_app, name="dataset")

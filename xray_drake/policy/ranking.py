@@ -1,13 +1,60 @@
 """The paper's three rankings: which object to grasp first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import cv2
 import numpy as np
 
-from xray_drake.messages import InstanceMasks, OccupancyDistribution
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import Grasp, InstanceMasks, OccupancyDistribution
+
+
+class Planning(Protocol):
+    """Plans grasps in the heap that is looked at."""
+
+    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
+        """Returns the best grasp on an object; of kind NONE if there is none.
+
+        Args:
+            name: of the object.
+            without: objects that are thought away.
+        """
+
+
+class Inference(Protocol):
+    """Infers where the target could be in an image that is imagined."""
+
+    def __call__(
+        self, depth: np.ndarray, target_mask: np.ndarray
+    ) -> OccupancyDistribution:
+        """Infers the distribution.
+
+        Args:
+            depth: (H, W) float32 z-depth, m.
+            target_mask: (H, W) bool, the target's modal mask.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What a ranking needs to imagine the image after a removal.
+
+    Attributes:
+        depth: (H, W) float32 z-depth that the distribution was inferred from,
+            m.
+        target_mask: (H, W) bool, the target's modal mask that it was.
+        camera: of both.
+        target_size: (3,) length, width, thickness of the target, m.
+        infer: the inference.
+    """
+
+    depth: np.ndarray
+    target_mask: np.ndarray
+    camera: PinholeCamera
+    target_size: np.ndarray
+    infer: Inference
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,11 +66,19 @@ class SearchView:
         instances: modal masks of the objects seen.
         candidates: names of the objects that may be grasped, in the order of
             ``instances``.
+        target: the instance that is the target; empty where none is.
+        plan: plans grasps on candidates; only for rankings that ask for it.
+        outlook: to imagine removals; only for rankings that ask for it.
+        true_mask: (H, W) bool, the target's true amodal mask; for the oracle.
     """
 
     occupancy: OccupancyDistribution
     instances: InstanceMasks
     candidates: tuple[str, ...]
+    target: str = ""
+    plan: Planning | None = None
+    outlook: Outlook | None = None
+    true_mask: np.ndarray | None = None
 
 
 class Ranking(Protocol):

@@ -1,7 +1,7 @@
 """The LeafSystem that looks, ranks, and commands the next grasp."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +13,9 @@ from pydrake.systems.framework import (
     LeafSystem,
     State,
 )
+from pydrake.systems.sensors import ImageDepth32F
 
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import (
     Grasp,
@@ -26,8 +28,16 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
+from xray_drake.occupancy.system import OccupancyModel
 from xray_drake.perception.ground_truth import target_instance
-from xray_drake.policy.ranking import Ranking, SearchView, candidates, order
+from xray_drake.policy.ranking import (
+    Outlook,
+    Planning,
+    Ranking,
+    SearchView,
+    candidates,
+    order,
+)
 from xray_drake.seeding import stream
 
 
@@ -35,6 +45,47 @@ from xray_drake.seeding import stream
 class _Memory(Message):
     action: SearchAction = field(default_factory=SearchAction)
     failed: tuple[Grasp, ...] = ()
+
+
+class _Planned:
+    """Plans grasps at one state of the heap, each once."""
+
+    def __init__(
+        self,
+        planner: GraspPlanner,
+        poses: Mapping[str, np.ndarray],
+        failed: Sequence[Grasp],
+    ) -> None:
+        self._planner = planner
+        self._poses = poses
+        self._failed = failed
+        self._known: dict[tuple[str, frozenset[str]], Grasp] = {}
+
+    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
+        key = name, frozenset(without)
+        if key not in self._known:
+            self._known[key] = self._planner.plan(
+                name,
+                {n: X for n, X in self._poses.items() if n not in key[1]},
+                excluded=[g for g in self._failed if g.object == name],
+            )
+        return self._known[key]
+
+
+@dataclass(frozen=True)
+class Foresight:
+    """What a policy whose ranking imagines removals needs.
+
+    Attributes:
+        inference: infers where the target could be then.
+        target_size: (3,) length, width, thickness of the target, m.
+        width, height: of the images, pixels.
+    """
+
+    inference: OccupancyModel
+    target_size: np.ndarray
+    width: int = 512
+    height: int = 384
 
 
 class SearchPolicy(LeafSystem):
@@ -49,6 +100,9 @@ class SearchPolicy(LeafSystem):
         - target_mask
         - status
         - body_poses
+        - depth_image (with foresight)
+        - camera (with foresight)
+        - true_target (with truth)
         output_ports:
         - action
 
@@ -56,7 +110,10 @@ class SearchPolicy(LeafSystem):
     the last action. Then it ranks the objects seen, asks the planner for a
     grasp on the first, else on the next, and raises ``action.number``. The
     inputs are messages of :mod:`xray_drake.messages` but for ``body_poses``,
-    the ground truth that planning from models needs.
+    the ground truth that planning from models needs, ``depth_image``
+    (ImageDepth32F, what the occupancy was inferred from) and ``camera``
+    (PinholeCamera). ``true_target`` is the target's true amodal mask; a policy
+    without ``truth`` has no such port.
 
     A grasp that failed is not tried again: the planner is told of all grasps
     that failed on an object.
@@ -71,6 +128,8 @@ class SearchPolicy(LeafSystem):
         target_first: bool = True,
         min_visible_pixels: int = 50,
         min_grasp_quality: float = 0.0,
+        foresight: Foresight | None = None,
+        truth: bool = False,
         seed: int = 0,
         period: float = 0.05,
     ) -> None:
@@ -84,6 +143,8 @@ class SearchPolicy(LeafSystem):
             min_visible_pixels: objects with fewer are not candidates.
             min_grasp_quality: a weaker grasp is taken only where no candidate
                 has one as good as this; then the first of the weak ones is.
+            foresight: for rankings that imagine removals.
+            truth: for rankings that know where the target is.
             seed: of the ranking's random generator.
             period: how often it checks for an idle gripper, s.
         """
@@ -111,6 +172,20 @@ class SearchPolicy(LeafSystem):
         self._poses = self.DeclareAbstractInputPort(
             "body_poses", Value([RigidTransform()])
         )
+        self._foresight = foresight
+        if foresight is not None:
+            size = foresight.width, foresight.height
+            self._depth_image = self.DeclareAbstractInputPort(
+                "depth_image", Value(ImageDepth32F(*size))
+            )
+            self._camera = self.DeclareAbstractInputPort(
+                "camera", Value(PinholeCamera(*size, np.eye(3), np.eye(4)))
+            )
+        self._truth = truth
+        if truth:
+            self._true_target = self.DeclareAbstractInputPort(
+                "true_target", Value(TargetMask())
+            )
         self._memory = self.DeclareAbstractState(Value(_Memory()))
         self.DeclareAbstractOutputPort(
             "action",
@@ -155,10 +230,15 @@ class SearchPolicy(LeafSystem):
         occupancy: OccupancyDistribution = self._occupancy.Eval(context)
         inferred = clock()
         target = target_instance(instances, target_mask)
+        plan = _Planned(self._planner, self._object_poses(context), failed)
         view = SearchView(
             occupancy,
             instances,
             candidates(instances, min_pixels=self._min_pixels),
+            target,
+            plan,
+            self._outlook(context, target_mask),
+            self._true_target.Eval(context).data if self._truth else None,
         )
         ranked = order(
             view,
@@ -167,7 +247,7 @@ class SearchPolicy(LeafSystem):
             target=target if self._target_first else "",
         )
         ordered = clock()
-        grasp, score = self._first_grasp(context, ranked, failed)
+        grasp, score = self._first_grasp(ranked, plan)
         planned = clock()
         return SearchAction(
             number=number,
@@ -187,21 +267,35 @@ class SearchPolicy(LeafSystem):
             ),
         )
 
-    def _first_grasp(
-        self,
-        context: Context,
-        ranked: Sequence[tuple[str, float]],
-        failed: Sequence[Grasp],
-    ) -> tuple[Grasp, float]:
+    def _object_poses(self, context: Context) -> dict[str, np.ndarray]:
         body_poses = self._poses.Eval(context)
-        poses = {
+        return {
             name: body_poses[index].GetAsMatrix4()
             for name, index in self._bodies.items()
         }
+
+    def _outlook(
+        self, context: Context, target_mask: TargetMask
+    ) -> Outlook | None:
+        foresight = self._foresight
+        if foresight is None:
+            return None
+        image: ImageDepth32F = self._depth_image.Eval(context)
+        camera: PinholeCamera = self._camera.Eval(context)
+        return Outlook(
+            np.array(image.data[:, :, 0]),
+            target_mask.data,
+            camera,
+            foresight.target_size,
+            lambda depth, mask: foresight.inference.infer(depth, mask, camera),
+        )
+
+    def _first_grasp(
+        self, ranked: Sequence[tuple[str, float]], plan: Planning
+    ) -> tuple[Grasp, float]:
         weak: tuple[Grasp, float] = (Grasp(), 0.0)
         for name, score in ranked:
-            excluded = [grasp for grasp in failed if grasp.object == name]
-            grasp = self._planner.plan(name, poses, excluded=excluded)
+            grasp = plan(name)
             if grasp and grasp.quality >= self._min_quality:
                 return grasp, score
             if grasp and not weak[0]:

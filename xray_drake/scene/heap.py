@@ -124,6 +124,9 @@ class Heap:
         growth: the heap as it was when fewer objects had been dropped, where
             this was asked for; not wholly at rest.
         failures: one line each draw of this seed that failed before.
+        redrawn: of the attempts, those that rested but did not count, since
+            too much was seen of the target; see
+            :func:`xray_drake.station.objects.make_heap`.
     """
 
     target: ObjectModel
@@ -135,6 +138,7 @@ class Heap:
     settle_time: float
     growth: tuple["Heap", ...] = field(default=(), repr=False)
     failures: tuple[str, ...] = ()
+    redrawn: int = 0
 
     @property
     def target_tilt(self) -> float:

@@ -15,8 +15,11 @@ from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
     GroundTruthTargetDetector,
 )
-from xray_drake.policy.ranking import RANKINGS
-from xray_drake.policy.system import SearchPolicy
+from xray_drake.policy.memory import MemoryConfig, TargetMemory
+from xray_drake.policy.memory_system import SearchMemory
+from xray_drake.policy.policies import POLICIES
+from xray_drake.policy.system import Foresight, SearchPolicy
+from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.station.heap_station import StationParts, build_heap_station
@@ -26,6 +29,9 @@ from xray_drake.station.scenario import (
     check_scenario,
     weights_path,
 )
+
+_Output = tuple[System, str]
+_Wire = tuple[System, str, System, str]
 
 
 class SearchDiagram(Diagram):
@@ -57,9 +63,11 @@ def build_search_diagram(
 
     Every box is a named system: ``heap_station``, ``target_detector``,
     ``instance_segmenter``, ``occupancy_inference``, ``search_policy``,
-    ``gripper_controller``. Their outputs are exported as ``box.port``, and so
-    are the station's images and its ground truth (``cheat.…``). In the default
-    context the heap is at rest and nothing has been decided.
+    ``gripper_controller``. Policies that need them add ``search_memory``
+    between the camera and the inference, or ``true_target``. The outputs of
+    all are exported as ``box.port``, and so are the station's images and its
+    ground truth (``cheat.…``). In the default context the heap is at rest and
+    nothing has been decided.
 
     Args:
         scenario: what to build.
@@ -79,19 +87,22 @@ def build_search_diagram(
     station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
     builder.AddSystem(station)
     camera = scenario.camera
+    kind = POLICIES[scenario.policy.name]
+    target = heap.target
     bodies = {
         name: int(item.body.index()) for name, item in parts.objects.items()
     }
 
     detector = builder.AddSystem(
-        GroundTruthTargetDetector(target_label=parts.labels[heap.target.name])
+        GroundTruthTargetDetector(target_label=parts.labels[target.name])
     )
     segmenter = builder.AddSystem(
         GroundTruthInstanceSegmenter(labels=parts.labels)
     )
+    inference = _inference(scenario, target)
     occupancy = builder.AddSystem(
         OccupancyInference(
-            inference=_inference(scenario, heap.target),
+            inference=inference,
             width=camera.width,
             height=camera.height,
         )
@@ -104,12 +115,18 @@ def build_search_diagram(
     )
     policy = builder.AddSystem(
         SearchPolicy(
-            ranking=RANKINGS[scenario.policy.name],
+            ranking=kind.ranking,
             planner=planner,
             bodies=bodies,
             target_first=scenario.policy.target_first,
             min_visible_pixels=scenario.policy.min_visible_pixels,
             min_grasp_quality=scenario.policy.min_grasp_quality,
+            foresight=Foresight(
+                inference, target.extents, camera.width, camera.height
+            )
+            if kind.outlook
+            else None,
+            truth=kind.truth,
             seed=scenario.seed,
         )
     )
@@ -131,10 +148,49 @@ def build_search_diagram(
     )
 
     name = camera.name
-    for source, output, target, port in (
+    depth: _Output = station, f"{name}.depth_image"
+    boxes = [detector, segmenter, occupancy, policy, gripper]
+    wires: list[_Wire] = []
+    if kind.memory:
+        memory = builder.AddSystem(
+            SearchMemory(
+                memory=TargetMemory(
+                    target.extents,
+                    MemoryConfig(floor=scenario.perception.exact.floor),
+                ),
+                width=camera.width,
+                height=camera.height,
+            )
+        )
+        boxes.append(memory)
+        wires += [
+            (*depth, memory, "depth_image"),
+            (detector, "target_mask", memory, "target_mask"),
+            (segmenter, "instances", memory, "instances"),
+            (station, f"{name}.camera", memory, "camera"),
+            (policy, "action", memory, "action"),
+            (gripper, "status", memory, "status"),
+        ]
+        depth = memory, "depth_image"
+    if kind.outlook:
+        wires += [
+            (*depth, policy, "depth_image"),
+            (station, f"{name}.camera", policy, "camera"),
+        ]
+    if kind.truth:
+        truth = builder.AddSystem(
+            TrueTargetMask(target=target, body=bodies[target.name])
+        )
+        boxes.append(truth)
+        wires += [
+            (station, "cheat.body_poses", truth, "body_poses"),
+            (station, f"{name}.camera", truth, "camera"),
+            (truth, "target_mask", policy, "true_target"),
+        ]
+    wires += [
         (station, f"{name}.label_image", detector, "label_image"),
         (station, f"{name}.label_image", segmenter, "label_image"),
-        (station, f"{name}.depth_image", occupancy, "depth_image"),
+        (*depth, occupancy, "depth_image"),
         (station, f"{name}.camera", occupancy, "camera"),
         (detector, "target_mask", occupancy, "target_mask"),
         (detector, "target_mask", policy, "target_mask"),
@@ -152,10 +208,11 @@ def build_search_diagram(
         ),
         (gripper, "applied_spatial_force", station, "applied_spatial_force"),
         (gripper, "position", station, "gripper.position"),
-    ):
-        builder.Connect(source.GetOutputPort(output), target.GetInputPort(port))
-    for system in (detector, segmenter, occupancy, policy, gripper):
-        _export_outputs(builder, system, f"{system.get_name()}.")
+    ]
+    for source, output, drain, port in wires:
+        builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
+    for box in boxes:
+        _export_outputs(builder, box, f"{box.get_name()}.")
     _export_outputs(builder, station, "")
 
     diagram = SearchDiagram()

@@ -19,6 +19,7 @@ from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
+from xray_drake.station.start import target_view
 
 
 class Observer(Protocol):
@@ -70,7 +71,9 @@ class SearchMonitor:
         self._status = diagram.GetOutputPort("gripper_controller.status")
         self._occupancy = diagram.GetOutputPort("occupancy_inference.occupancy")
         self._poses = diagram.GetOutputPort("cheat.body_poses")
-        self._camera = diagram.GetOutputPort(f"{scenario.camera.name}.camera")
+        name = scenario.camera.name
+        self._camera = diagram.GetOutputPort(f"{name}.camera")
+        self._labels = diagram.GetOutputPort(f"{name}.label_image")
         self._removed: set[str] = set()
         station = diagram.station
         self._sleep = SleepMonitor(
@@ -90,7 +93,9 @@ class SearchMonitor:
                 "target_tilt_deg": float(np.rad2deg(heap.target_tilt)),
                 "num_dropped": heap.num_dropped,
                 "attempts": heap.attempts,
+                "redrawn": heap.redrawn,
             },
+            target_first=scenario.policy.target_first,
         )
 
     def __call__(self, root_context: Context) -> EventStatus:
@@ -177,6 +182,7 @@ class SearchMonitor:
         record = self.record
         if not record.actions:
             record.start["target_visible_fraction"] = visible
+            record.start |= self._cover(context, amodal)
         elif record.actions[-1].support_after < 0:
             record.actions[-1].support_after = action.support
             record.actions[-1].support_01_after = action.support_01
@@ -196,6 +202,20 @@ class SearchMonitor:
         )
         for observer in self._observers:
             observer.decided(self._diagram, context, action)
+
+    def _cover(self, context: Context, amodal: np.ndarray) -> dict[str, float]:
+        view = target_view(
+            self._labels.Eval(context).data[:, :, 0],
+            amodal,
+            self._diagram.station.labels,
+            self._target.name,
+        )
+        return {
+            "target_pixels": view.pixels,
+            "cover_pixels": view.cover_pixels,
+            "cover_fraction": view.cover_fraction,
+            "num_covers": view.num_covers,
+        }
 
     def _finish(
         self, context: Context, outcome: Outcome, reason: str, end: str

@@ -87,11 +87,16 @@ class SearchRecord:
         seed: of the scenario.
         target: its name.
         objects: names of the distractors in the bin at the start.
-        start: the heap at the start: ``target_visible_fraction``,
-            ``target_tilt_deg``, ``num_dropped``, ``attempts``.
+        start: the heap at the start: ``target_tilt_deg``, ``num_dropped``,
+            ``attempts``, ``redrawn`` (see :class:`xray_drake.scene.heap.Heap`);
+            from the first decision on ``target_visible_fraction`` as the
+            detector has it, and, as the truth is, ``target_pixels`` (of the
+            amodal mask), ``cover_pixels``, ``cover_fraction``, ``num_covers``
+            (see :class:`xray_drake.station.start.TargetView`).
         actions: in order.
         end: "success", "horizon", "target_lost", "nothing_graspable";
             "interrupted" where it was stopped; empty while it goes on.
+        target_first: the policy grasps the target whenever it can.
     """
 
     horizon: int
@@ -104,6 +109,7 @@ class SearchRecord:
     start: dict[str, float] = field(default_factory=dict)
     actions: list[ActionRecord] = field(default_factory=list)
     end: str = ""
+    target_first: bool = True
 
     @property
     def success(self) -> bool:
@@ -122,6 +128,7 @@ class SearchRecord:
             "num_actions": self.num_actions,
             "horizon": self.horizon,
             "policy": self.policy,
+            "target_first": self.target_first,
             "occupancy": self.occupancy,
             "execution": self.execution,
             "seed": self.seed,

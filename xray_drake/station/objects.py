@@ -1,16 +1,17 @@
 """Chooses what lies in the bin of a scenario."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import poisson
 
-from xray_drake.scene.heap import Heap, drop_heap
+from xray_drake.scene.heap import Heap, HeapError, drop_heap
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.packaging import PACKAGED
 from xray_drake.scene.targets import target_model
 from xray_drake.seeding import stream
 from xray_drake.station.scenario import (
@@ -18,6 +19,10 @@ from xray_drake.station.scenario import (
     Scenario,
     ScenarioError,
 )
+from xray_drake.station.start import look_at_heap
+
+_MOST_REDRAWS = 50
+"""So many heaps in a row that show too much of the target are given up."""
 
 
 def choose_objects(
@@ -46,6 +51,8 @@ def choose_objects(
         split=scene.split, packaged=scene.packaged
     )
     get = library.__getitem__ if library else make_object
+    if scene.packaged_share > 0 and not library:
+        names = _with_packaged(names, count, scene.packaged_share, rng)
     if count <= len(names):
         chosen = rng.choice(len(names), count, replace=False)
         return [get(names[i]) for i in chosen]
@@ -53,6 +60,23 @@ def choose_objects(
         replace(get(names[i]), name=f"{names[i]}_copy_{k}")
         for k, i in enumerate(rng.integers(len(names), size=count))
     ]
+
+
+def _with_packaged(
+    names: Sequence[str], count: int, share: float, rng: np.random.Generator
+) -> tuple[str, ...]:
+    """Draws names of which each is packaged with a probability.
+
+    Fewer where the library has too few of the one or the other.
+    """
+    packaged = [name for name in names if name.endswith(PACKAGED)]
+    plain = [name for name in names if not name.endswith(PACKAGED)]
+    wanted = int(rng.binomial(count, share))
+    return tuple(
+        pool[i]
+        for pool, size in ((packaged, wanted), (plain, count - wanted))
+        for i in rng.choice(len(pool), min(size, len(pool)), replace=False)
+    )
 
 
 def truncated_poisson(number: RandomNumber, rng: np.random.Generator) -> int:
@@ -102,6 +126,10 @@ def make_heap(
 ) -> Heap:
     """Drops the heap of a scenario; the same scenario gives the same heap.
 
+    Where the target starts more visible than ``scene.most_visible``, the heap
+    is drawn again, objects and all, from a seed that comes of the scenario's:
+    the policy has no part in it.
+
     Args:
         scenario: says what, how many, and from which seed.
         library: what :func:`imported_objects` gives, if it is known.
@@ -111,8 +139,49 @@ def make_heap(
 
     Raises:
         ScenarioError: a folder of meshes that cannot be used.
-        HeapError: heap after heap failed.
+        HeapError: heap after heap failed, or showed too much of the target.
     """
+    most_visible = scenario.scene.most_visible
+    attempts = 0
+    failures: tuple[str, ...] = ()
+    for redrawn in range(_MOST_REDRAWS + 1):
+        drawn = replace(scenario, seed=_heap_seed(scenario.seed, redrawn))
+        heap = _drop(drawn, library, snapshots, progress)
+        attempts, failures = attempts + heap.attempts, failures + heap.failures
+        if (
+            most_visible == 1
+            or look_at_heap(drawn, heap).visible_fraction <= most_visible
+        ):
+            return replace(
+                heap,
+                seed=scenario.seed,
+                attempts=attempts,
+                growth=tuple(
+                    replace(state, seed=scenario.seed) for state in heap.growth
+                ),
+                failures=failures,
+                redrawn=redrawn,
+            )
+    raise HeapError(
+        f"seed {scenario.seed}: in {_MOST_REDRAWS + 1} heaps in a row more "
+        f"than {most_visible:.0%} of the target was seen: drop more objects, "
+        "or raise scene.most_visible"
+    )
+
+
+def _heap_seed(seed: int, redrawn: int) -> int:
+    """Returns the seed of a heap that is drawn again; at first the own one."""
+    if not redrawn:
+        return seed
+    return int(stream(seed, "redraw", redrawn).integers(2**62))
+
+
+def _drop(
+    scenario: Scenario,
+    library: Mapping[str, ObjectModel] | None,
+    snapshots: int,
+    progress: Callable[[float], None] | None,
+) -> Heap:
     objects = choose_objects(scenario, library)
     counts = np.linspace(len(objects) / 2, len(objects), snapshots + 1)[1:]
     return drop_heap(

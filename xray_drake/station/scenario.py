@@ -39,7 +39,16 @@ from xray_drake.splits import SPLITS
 DETECTORS = ("ground_truth",)
 SEGMENTERS = ("ground_truth",)
 OCCUPANCIES = ("learned", "posterior", "exact")
-POLICIES = ("xray", "largest", "random")
+POLICIES = (
+    "xray",
+    "largest",
+    "random",
+    "oracle",
+    "memory",
+    "lookahead",
+    "grasp_aware",
+    "combined",
+)
 GRASPS = ("models",)
 EXECUTIONS = ("quasi_static",)
 
@@ -77,10 +86,15 @@ class SceneConfig:
     split: str = "train"
     # Those that come on a backing card as well are drawn from, too.
     packaged: bool = False
+    # Share of packaged objects among those drawn; at 0 as many as there are.
+    packaged_share: float = 0.0
     # Folders of meshes that replace the procedural distractors.
     meshes: list[str] = field(default_factory=list)
     # Factor from the meshes' unit to metres.
     mesh_scale: float = 1.0
+    # A heap whose target starts more visible than this is drawn again; at 1
+    # all heaps count.
+    most_visible: float = 1.0
     # How they are dropped.
     heap: HeapConfig = field(default_factory=HeapConfig)
     # Their material.
@@ -341,6 +355,18 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             f"{source}: scene.random_number.mean is "
             f"{scenario.scene.random_number.mean}: it must be from 0 to "
             f"{MOST_OBJECTS}"
+        )
+    for key, share in (
+        ("scene.packaged_share", scenario.scene.packaged_share),
+        ("scene.most_visible", scenario.scene.most_visible),
+    ):
+        if not 0 <= share <= 1:
+            raise ScenarioError(
+                f"{source}: {key} is {share}: it must be from 0 to 1"
+            )
+    if scenario.scene.packaged_share > 0 and not scenario.scene.packaged:
+        raise ScenarioError(
+            f"{source}: scene.packaged_share needs scene.packaged: true"
         )
     _check_weights(scenario.perception, source)
     _check_camera(scenario.camera, source)

@@ -1,0 +1,187 @@
+import json
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.benchmark.synthetic import many_records, record, write_folder
+from xray_drake.benchmark.records import (
+    ROLLOUTS,
+    SCENARIO,
+    check_folder,
+    collect,
+    in_order,
+    read_rollouts,
+    shared_scenario,
+)
+from xray_drake.station.scenario import Scenario, load_scenario, parse_scenario
+
+
+def demo(change: Callable[[Scenario], None] = lambda _: None) -> Scenario:
+    scenario = load_scenario("demo")
+    change(scenario)
+    return scenario
+
+
+def change_heap(scenario: Scenario) -> None:
+    scenario.scene.num_objects = 9
+
+
+def change_horizon(scenario: Scenario) -> None:
+    scenario.horizon = 9
+
+
+def change_planner(scenario: Scenario) -> None:
+    scenario.gripper.quasi_static.speed = 0.9
+
+
+def test_a_folder_without_rollouts_has_none(tmp_path: Path) -> None:
+    assert read_rollouts(tmp_path) == []
+    assert read_rollouts(tmp_path / "none") == []
+
+
+def test_what_a_rollout_chooses_is_not_of_the_shared_scenario() -> None:
+    def change(scenario: Scenario) -> None:
+        scenario.seed = 17
+        scenario.policy.name = "random"
+        scenario.policy.target_first = False
+        scenario.perception.occupancy = "learned"
+
+    assert shared_scenario(demo(change)) == shared_scenario(demo())
+    text = shared_scenario(demo())
+    assert shared_scenario(demo(change_horizon)) != text
+    assert shared_scenario(parse_scenario(text, "again")) == text
+
+
+def test_the_scenario_given_is_left_alone() -> None:
+    scenario = demo()
+    scenario.seed, scenario.policy.name = 17, "random"
+    shared_scenario(scenario)
+    assert (scenario.seed, scenario.policy.name) == (17, "random")
+
+
+def test_a_folder_is_of_one_scenario(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "a", [])
+    check_folder(folder, shared_scenario(demo()))
+    check_folder(tmp_path / "none", "anything")
+    with pytest.raises(ValueError, match=str(folder)):
+        check_folder(folder, shared_scenario(demo()) + "horizon: 3\n")
+
+
+def test_folders_come_together_whatever_their_order(tmp_path: Path) -> None:
+    records = many_records(6)
+    mixed = random.Random(1).sample(records, len(records))
+    one = write_folder(tmp_path / "one", mixed[:11])
+    two = write_folder(tmp_path / "two", mixed[11:])
+    there, back = collect([one, two]), collect([two, one])
+    assert there.records == back.records == in_order(records)
+    assert there.records != records
+    assert there.repeated == 0
+    assert there.scenario == "demo"
+
+
+def test_the_first_of_the_same_rollouts_counts(tmp_path: Path) -> None:
+    one = write_folder(
+        tmp_path / "one", [record("xray", 1, 3), record("random", 1, 9)]
+    )
+    two = write_folder(
+        tmp_path / "two",
+        [
+            record("xray", 1, 5),
+            record("random", 1, 8, occupancy="learned"),
+            record("xray", 1, 6, occupancy="learned"),
+            record("xray", 2, 7),
+        ],
+    )
+    found = collect([one, two])
+    assert found.repeated == 2
+    assert [r["num_actions"] for r in found.records] == [9, 3, 7, 6]
+    assert [r["num_actions"] for r in collect([two, one]).records] == [
+        *(8, 5, 7, 6)
+    ]
+
+
+def test_a_line_twice_in_one_folder_counts_once(tmp_path: Path) -> None:
+    """As when a killed benchmark's worker lived on."""
+    folder = write_folder(tmp_path / "a", [record("xray", 1)] * 2)
+    assert len(collect([folder]).records) == collect([folder]).repeated == 1
+
+
+@pytest.mark.parametrize(
+    "change", [change_heap, change_horizon, change_planner]
+)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_heaps_of_other_scenarios_do_not_mix(
+    change: Callable[[Scenario], None], seed: int, tmp_path: Path
+) -> None:
+    one = write_folder(tmp_path / "one", [record("xray", 1)])
+    two = write_folder(tmp_path / "two", [record("xray", seed)], demo(change))
+    with pytest.raises(ValueError, match=r"one and .*two are of different"):
+        collect([one, two])
+
+
+def change_policy(scenario: Scenario) -> None:
+    scenario.policy.min_visible_pixels = 99
+
+
+def change_exact(scenario: Scenario) -> None:
+    scenario.perception.exact.rotations = 16
+
+
+@pytest.mark.parametrize("change", [change_policy, change_exact])
+def test_one_variant_has_one_setting(
+    change: Callable[[Scenario], None], tmp_path: Path
+) -> None:
+    one = write_folder(tmp_path / "one", [record("xray", 1)])
+    two = write_folder(tmp_path / "two", [record("xray", 2)], demo(change))
+    with pytest.raises(ValueError, match=r"both hold xray \(exact\)") as error:
+        collect([one, two])
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_settings_that_a_variant_does_not_use_may_differ(
+    tmp_path: Path,
+) -> None:
+    def change(scenario: Scenario) -> None:
+        scenario.perception.weights = "other.safetensors"
+        scenario.perception.exact.rotations = 16
+
+    one = write_folder(
+        tmp_path / "one", [record("xray", 1), record("random", 1)]
+    )
+    other = record("xray", 1, occupancy="learned")
+    two = write_folder(
+        tmp_path / "two", [other, record("random", 2)], demo(change)
+    )
+    assert len(collect([one, two]).records) == 4
+
+
+def test_targets_come_together(tmp_path: Path) -> None:
+    one = write_folder(tmp_path / "one", [record("xray", 1)])
+    scenario = demo()
+    scenario.scene = replace(scenario.scene, target="domino")
+    two = write_folder(
+        tmp_path / "two", [record("xray", 1, target="domino")], scenario
+    )
+    assert len(collect([one, two]).records) == 2
+    assert collect([one, two]).repeated == 0
+
+
+@pytest.mark.parametrize("missing", [ROLLOUTS, SCENARIO])
+def test_a_folder_that_is_no_benchmarks(missing: str, tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "a", [record("xray", 1)])
+    (folder / missing).unlink()
+    with pytest.raises(ValueError, match=f"{folder} holds no rollouts"):
+        collect([folder])
+
+
+def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
+    folder = write_folder(
+        tmp_path / "a", [record("xray", 1), record("xray", 2)]
+    )
+    path = folder / ROLLOUTS
+    path.write_text(path.read_text(encoding="utf-8")[:-20], encoding="utf-8")
+    (kept,) = read_rollouts(folder)
+    assert kept == json.loads(json.dumps(record("xray", 1)))

@@ -1,0 +1,264 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import bootstrap
+
+from tests.benchmark.synthetic import failure, many_records, record
+from xray_drake.benchmark.statistics import (
+    Part,
+    action_difference,
+    action_quartiles,
+    actions,
+    bootstrap_mean,
+    containment,
+    draws,
+    drop_seconds,
+    ends,
+    occluded,
+    outcomes,
+    parts,
+    rollout_seconds,
+    seconds_a_rollout,
+    stage_seconds,
+    start_shares,
+    success_difference,
+    success_rate,
+    success_within,
+    within,
+)
+
+BOX = "box_2to1"
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """The interval's closed form (Wilson 1927) at 95 %."""
+    z, n, p = 1.959963984540054, trials, successes / trials
+    center = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    return center - half, center + half
+
+
+XRAY = [
+    record("xray", 0, 2),
+    record("xray", 1, 3),
+    record("xray", 2, 7),
+    record("xray", 3, 10, "horizon"),
+    failure("xray", 4),
+]
+LARGEST = [
+    record("largest", 0, 10, "horizon"),
+    record("largest", 1, 4),
+    record("largest", 2, 5),
+    record("largest", 3, 10, "target_lost"),
+    record("largest", 9, 1),
+]
+
+
+def test_rates_by_hand() -> None:
+    rate = success_rate(XRAY)
+    assert (rate.value, rate.heaps) == (0.6, 5)
+    assert (rate.low, rate.high) == pytest.approx(wilson(3, 5))
+    assert success_rate([]).heaps == 0
+    assert math.isnan(success_rate([]).value)
+
+
+@given(trials=st.integers(1, 200), share=st.floats(0, 1))
+def test_the_interval_is_wilsons(trials: int, share: float) -> None:
+    successes = round(share * trials)
+    rate = success_rate(
+        [{"success": seed < successes} for seed in range(trials)]
+    )
+    low, high = wilson(successes, trials)
+    assert rate.low == pytest.approx(max(low, 0), abs=1e-9)
+    assert rate.high == pytest.approx(min(high, 1), abs=1e-9)
+    assert 0 <= rate.low <= rate.value <= rate.high <= 1
+
+
+def test_actions_are_of_successes_alone() -> None:
+    assert actions(XRAY) == [2, 3, 7]
+    assert action_quartiles(XRAY) == (2.5, 3.0, 5.0)
+    assert np.isnan(action_quartiles(XRAY[3:])).all()
+    assert success_within(XRAY, 8) == [0, 0.2, 0.4, 0.4, 0.4, 0.4, 0.6, 0.6]
+
+
+def test_differences_are_of_heaps_that_both_searched() -> None:
+    # Heaps 0 to 3: won, equal, equal, equal.
+    difference = success_difference(XRAY, LARGEST)
+    assert (difference.value, difference.heaps) == (0.25, 4)
+    assert difference.low == 0 < difference.high <= 1
+    # Both succeed on 1 and 2: −1 and +2 actions.
+    fewer = action_difference(XRAY, LARGEST)
+    assert (fewer.value, fewer.heaps) == (0.5, 2)
+    assert (fewer.low, fewer.high) == (-1, 2)
+    turned = success_difference(LARGEST, XRAY)
+    assert turned.value == -0.25
+
+
+def test_without_common_heaps_there_is_no_difference() -> None:
+    assert success_difference(XRAY[:1], LARGEST[1:]).heaps == 0
+    assert math.isnan(success_difference(XRAY[:1], LARGEST[1:]).value)
+
+
+def test_heaps_of_other_targets_are_other_heaps() -> None:
+    other = [record("largest", 0, target="lid")]
+    assert success_difference(XRAY, other).heaps == 0
+
+
+def test_the_bootstrap_is_scipys() -> None:
+    rng = np.random.default_rng(2)
+    ours, theirs = rng.random(120) < 0.8, rng.random(120) < 0.6
+    found = bootstrap_mean(ours.astype(int) - theirs.astype(int))
+    wanted = bootstrap(
+        (ours.astype(float), theirs.astype(float)),
+        lambda a, b, axis: a.mean(axis) - b.mean(axis),
+        paired=True,
+        vectorized=True,
+        method="percentile",
+    ).confidence_interval
+    assert found.value == pytest.approx(ours.mean() - theirs.mean())
+    # The spread of the means is 0.056; a bound's own error 0.002.
+    assert found.low == pytest.approx(wanted.low, abs=0.012)
+    assert found.high == pytest.approx(wanted.high, abs=0.012)
+
+
+def test_the_bootstrap_covers_as_often_as_it_says() -> None:
+    """Of intervals of known means, some 95 % hold the mean."""
+    rng = np.random.default_rng(4)
+    probabilities = [0.1, 0.6, 0.3]
+    truth = 0.2
+    held = 0
+    for _ in range(400):
+        values = rng.choice([-1, 0, 1], 100, p=probabilities)
+        found = bootstrap_mean(values, resamples=1000)
+        held += found.low <= truth <= found.high
+    # Binomial(400, 0.95) has σ 4.4; the percentile method falls a bit short.
+    assert 360 <= held <= 395
+
+
+def test_the_bootstrap_does_not_depend_on_the_order() -> None:
+    values = np.random.default_rng(0).integers(-3, 4, 50)
+    assert bootstrap_mean(values) == bootstrap_mean(np.sort(values))
+    assert bootstrap_mean(values) != bootstrap_mean(values, seed=1)
+
+
+def test_each_heap_counts_once_in_how_targets_start() -> None:
+    tilted = record("xray", 1, visible=0.5)
+    tilted["start"]["target_tilt_deg"] = 9.0
+    records = [
+        record("xray", 0),
+        record("largest", 0),
+        tilted,
+        record("xray", 2, visible=0.9),
+        record("xray", 3, visible=0.91),
+        failure("xray", 4),
+    ]
+    assert start_shares(records) == {
+        "hidden": 0.25,
+        "partly visible": 0.5,
+        "more than 90 % visible": 0.25,
+        "tilted by more than 5°": 0.25,
+    }
+    assert start_shares(records[-1:]) == {}
+    kept = [(r["policy"], r["seed"]) for r in occluded(records)]
+    assert ("xray", 2) in kept
+    assert ("xray", 3) not in kept
+    assert len(kept) == 5
+
+
+def test_a_heap_in_view_counts_for_none() -> None:
+    """Nor for the variant that failed before it looked."""
+    records = [record("xray", 0, visible=0.95), failure("largest", 0)]
+    assert occluded(records) == []
+
+
+def test_draws() -> None:
+    first, second = record("xray", 0), record("xray", 1)
+    first["start"] |= {"attempts": 4, "redrawn": 2}
+    counts = draws([first, record("largest", 0), second, failure("xray", 2)])
+    assert counts == {"drawn": 5, "visible": 2, "failed": 1}
+
+
+def test_parts_by_hand() -> None:
+    records = [
+        record("xray", seed, visible=visible, cover=cover)
+        for seed, (visible, cover) in enumerate(
+            [(0.0, 400), (0.3, 200), (0.9, 1200), (0.0, 2000), (0.1, 3000)]
+        )
+    ]
+    lone = record("xray", 5, visible=0.2, cover=0)
+    found = {p.key: p for p in parts([*records, lone, failure("xray", 6)])}
+
+    def seeds(key: str) -> set[int]:
+        return {seed for _, seed in found[key].heaps}
+
+    assert seeds("all") == {0, 1, 2, 3, 4, 5, 6}
+    assert seeds("hidden") == {0, 3}
+    assert seeds("partly_visible") == {1, 2, 4, 5}
+    # Multiples 0.5, 1, 3, 5, 7.5 of the target's 400 pixels.
+    assert seeds("cover_small") == {0, 1}
+    assert seeds("cover_middle") == {2}
+    assert seeds("cover_large") == {3, 4}
+    assert found["cover_small"].title == "cover up to 1.7 ×"
+    assert within(records, found["hidden"]) == [records[0], records[3]]
+
+
+def test_parts_without_heaps_are_left_out() -> None:
+    lone = record("xray", 5, visible=0.2, cover=0)
+    assert [p.key for p in parts([lone])] == ["all", "partly_visible"]
+    assert parts([failure("xray", 1)]) == [
+        Part("all", "all", frozenset({(BOX, 1)}))
+    ]
+
+
+def test_the_first_decision_of_each_heap_says_what_the_support_held() -> None:
+    records = [record("xray", seed) for seed in range(4)]
+    for item, inside in zip(records, (1.0, 0.96, 0.5, 1.0), strict=True):
+        item["actions"][0]["true_mask_in_support"] = inside
+        item["actions"][1]["true_mask_in_support"] = 0.0
+    assert containment(records) == (0.75, 0.5)
+    assert containment(records, share=0.5) == (1.0, 0.5)
+    assert np.isnan(containment([failure("xray", 1)])).all()
+
+
+def test_times() -> None:
+    records = [
+        record("xray", 0, 1, cpu_seconds={"drop": 6.0, "rollout": 1.0}),
+        record("largest", 0, 1, cpu_seconds={"drop": 6.0, "rollout": 3.0}),
+        record("xray", 1, 3, cpu_seconds={"drop": 2.0, "rollout": 4.0}),
+        failure("xray", 2),
+    ]
+    records[0]["actions"][0]["seconds"] = {"perception": 0.1, "planning": 0.4}
+    assert rollout_seconds(records) == pytest.approx(8 / 3)
+    assert drop_seconds(records) == 4.0
+    assert seconds_a_rollout(records) == pytest.approx((8 + 8) / 3)
+    assert stage_seconds(records) == pytest.approx(
+        {"perception": (0.1 + 4 * 0.02) / 5, "planning": 0.4, "occupancy": 0.03}
+    )
+    assert math.isnan(seconds_a_rollout(records[-1:]))
+    assert math.isnan(drop_seconds(records[-1:]))
+    assert math.isnan(rollout_seconds([]))
+    assert stage_seconds([]) == {}
+
+
+def test_ends_and_outcomes() -> None:
+    assert ends(XRAY) == {"success": 3, "horizon": 1, "error": 1}
+    records = [record("xray", 0, 3)]
+    records[0]["actions"][1]["outcome"] = "failed"
+    assert outcomes([*records, failure("xray", 1)]) == {
+        "lifted": 2,
+        "failed": 1,
+    }
+
+
+def test_many_records_tell_policies_apart() -> None:
+    """The synthetic records are worth the tests of the report."""
+    records = many_records(200)
+    chosen = {
+        policy: [r for r in records if r["policy"] == policy]
+        for policy in ("random", "oracle")
+    }
+    difference = success_difference(chosen["oracle"], chosen["random"])
+    assert difference.low > 0.2

@@ -1,0 +1,62 @@
+import pytest
+
+from tests.benchmark.synthetic import record
+from xray_drake.benchmark.variants import Variant, variants
+
+
+def test_each_inference_is_a_variant_of_what_looks_at_it() -> None:
+    assert variants(
+        ["random", "xray", "largest", "memory"], ["exact", "learned"]
+    ) == (
+        Variant("random"),
+        Variant("xray", "exact"),
+        Variant("xray", "learned"),
+        Variant("largest"),
+        Variant("memory", "exact"),
+        Variant("memory", "learned"),
+    )
+
+
+def test_what_is_named_twice_runs_once() -> None:
+    assert variants(["xray", "xray"], ["exact"]) == (Variant("xray", "exact"),)
+
+
+@pytest.mark.parametrize("policy", ["random", "largest", "oracle"])
+def test_blind_policies_are_the_same_under_every_inference(policy: str) -> None:
+    one = Variant.of(record(policy, 0, occupancy="exact"))
+    other = Variant.of(record(policy, 0, occupancy="learned"))
+    assert one == other == Variant(policy)
+
+
+def test_the_variant_of_a_record() -> None:
+    given = record("xray", 0, occupancy="learned")
+    assert Variant.of(given) == Variant("xray", "learned", True)
+    given["target_first"] = False
+    assert Variant.of(given) == Variant("xray", "learned", False)
+    # Records of before the field: the scenarios had it on.
+    del given["target_first"]
+    assert Variant.of(given).target_first
+
+
+def test_labels() -> None:
+    assert Variant("random").label == "random"
+    assert Variant("xray", "exact").label == "xray (exact)"
+    assert (
+        Variant("xray", "exact", False).label
+        == "xray (exact, target not first)"
+    )
+    assert Variant("random", "", False).label == "random (target not first)"
+
+
+def test_the_papers_policies_come_first_and_the_oracle_last() -> None:
+    wanted = [
+        Variant("random"),
+        Variant("largest"),
+        Variant("xray", "exact"),
+        Variant("xray", "exact", False),
+        Variant("xray", "learned"),
+        Variant("lookahead", "exact"),
+        Variant("memory", "exact"),
+        Variant("oracle"),
+    ]
+    assert sorted(wanted[::-1], key=lambda v: v.order) == wanted

@@ -1,0 +1,85 @@
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.benchmark.synthetic import record, write_folder
+from xray_drake.benchmark.records import collect
+from xray_drake.benchmark.report import make_report, markdown, table_2
+from xray_drake.cli.main import app
+
+
+def report(*arguments: object) -> tuple[int, str, str]:
+    """Returns exit status, standard output and standard error."""
+    result = CliRunner().invoke(app, ["report", *map(str, arguments)])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture
+def one(tmp_path: Path) -> Path:
+    return write_folder(
+        tmp_path / "one", [record("xray", 0, 3), record("random", 0, 9)]
+    )
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> Path:
+    return write_folder(
+        tmp_path / "two", [record("xray", 0, 5), record("xray", 1, 4)]
+    )
+
+
+def test_it_is_written_beside_the_rollouts(one: Path) -> None:
+    code, out, err = report(one)
+    assert (code, err) == (0, "")
+    made = make_report(collect([one]))
+    assert "\n".join(table_2(made)) in out
+    assert (one / "report.md").read_text(encoding="utf-8") == markdown(made)
+    for name in ("report.md", "report.csv", "actions.png", "success.png"):
+        assert (one / name).stat().st_size > 0
+        assert f"wrote {one / name}" in out
+
+
+def test_folders_are_merged_into_another(
+    one: Path, two: Path, tmp_path: Path
+) -> None:
+    out_folder = tmp_path / "new" / "out"
+    code, _, err = report(one, two, "--out", out_folder)
+    assert code == 0
+    (line,) = err.splitlines()
+    assert line.startswith("xray-drake: repeated rollouts, left out: 1 ")
+    text = (out_folder / "report.md").read_text(encoding="utf-8")
+    assert "3 rollouts on 2 heaps" in text
+    assert not (one / "report.md").exists()
+
+
+def test_what_does_not_belong_together_is_one_line(
+    one: Path, two: Path
+) -> None:
+    (two / "scenario.yaml").write_text("horizon: 4\n", encoding="utf-8")
+    code, out, err = report(one, two)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith("xray-drake: ")
+    assert str(one) in line and str(two) in line
+    assert not (one / "report.md").exists()
+
+
+def test_a_folder_without_rollouts_is_one_line(tmp_path: Path) -> None:
+    code, _, err = report(tmp_path / "none")
+    assert code == 2
+    (line,) = err.splitlines()
+    assert str(tmp_path / "none") in line
+
+
+def test_a_place_that_cannot_be_written_is_one_line(
+    one: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "file"
+    path.write_text("not a folder", encoding="utf-8")
+    code, _, err = report(one, "--out", path)
+    assert code == 1
+    (line,) = err.splitlines()
+    assert str(path) in line

@@ -1,0 +1,154 @@
+"""Grasp-aware: what stands in the gripper's way goes first."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.policy.blocks import (
+    SCALE,
+    TARGET,
+    Block,
+    look,
+    outlook,
+    planning,
+    target_block,
+)
+from xray_drake.messages import Grasp, OccupancyDistribution
+from xray_drake.policy.chance import chance
+from xray_drake.policy.grasp_aware import GraspAware, GraspAwareConfig
+from xray_drake.policy.ranking import (
+    Planning,
+    SearchView,
+    largest,
+    order,
+    xray,
+)
+
+SEEN = target_block(45, 55)
+LEFT = Block("left", 40, 45, 15, 9, 0.08)
+RIGHT = Block("right", 43, 66, 8, 9, 0.04)
+FAR = Block("far", 20, 100, 20, 20, 0.04)
+ALL = [SEEN, LEFT, RIGHT, FAR]
+GOOD = {"left": 0.9, "right": 0.9, "far": 0.9}
+
+
+def view(blocks: Sequence[Block], plan: Planning) -> SearchView:
+    """The target is known to be where it is."""
+    seen = look(blocks)
+    rho = np.zeros(seen.target.shape)
+    for block in blocks:
+        rho[block.mask & (block.name == TARGET)] = 1.0
+    return SearchView(
+        OccupancyDistribution(rho),
+        seen.instances,
+        tuple(block.name for block in blocks),
+        TARGET if seen.target.any() else "",
+        plan,
+        outlook(seen),
+    )
+
+
+def ranked(seen: SearchView, ranking: GraspAware) -> list[tuple[str, float]]:
+    return order(seen, ranking, np.random.default_rng(0))
+
+
+class Noting:
+    """A planner that notes what is asked."""
+
+    def __init__(self, plan: Planning) -> None:
+        self._plan = plan
+        self.asked: list[tuple[str, tuple[str, ...]]] = []
+
+    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
+        self.asked.append((name, tuple(without)))
+        return self._plan(name, without=without)
+
+
+def test_a_target_that_can_be_grasped_is_next() -> None:
+    plan = Noting(planning({**GOOD, TARGET: 0.5}))
+    (name, score), *_ = ranked(view(ALL, plan), GraspAware())
+    assert name == TARGET
+    assert score == chance(planning({TARGET: 0.5})(TARGET))
+    assert plan.asked == [(TARGET, ())]
+
+
+@pytest.mark.parametrize("blocker", ["left", "right"])
+def test_what_blocks_the_grasp_goes_first(blocker: str) -> None:
+    freed = {(TARGET, blocker): 0.6}
+    (name, score), *_ = ranked(view(ALL, planning(GOOD, freed)), GraspAware())
+    assert name == blocker
+    first, then = (
+        chance(planning({"it": quality})("it")) for quality in (0.9, 0.6)
+    )
+    assert score == pytest.approx(first * then / (first + then))
+
+
+def test_of_two_ways_the_one_with_fewer_actions() -> None:
+    freed = {(TARGET, "left"): 0.9, (TARGET, "right"): 0.5}
+    for qualities, name in (
+        (GOOD, "left"),
+        ({**GOOD, "left": 0.25}, "right"),
+        ({"right": 0.9, "far": 0.9}, "right"),
+    ):
+        seen = view(ALL, planning(qualities, freed))
+        assert ranked(seen, GraspAware())[0][0] == name
+
+
+def test_one_action_is_worth_more_than_two() -> None:
+    """However weak the one and however good the two."""
+    freed = {(TARGET, "left"): 1.0}
+    weak = view(ALL, planning({**GOOD, TARGET: 0.01}, freed))
+    strong = view(ALL, planning({**GOOD, "left": 1.0}, freed))
+    one = ranked(weak, GraspAware())[0]
+    two = ranked(strong, GraspAware())[0]
+    assert (one[0], two[0]) == (TARGET, "left")
+    assert one[1] > two[1]
+
+
+def test_only_what_is_near_is_thought_away() -> None:
+    plan = Noting(planning(GOOD))
+    ranked(view(ALL, plan), GraspAware())
+    thought_away = {gone for _, without in plan.asked for gone in without}
+    assert thought_away == {"left", "right"}
+    plan.asked.clear()
+    ranked(view(ALL, plan), GraspAware(config=GraspAwareConfig(candidates=1)))
+    assert (TARGET, ("left",)) in plan.asked
+    assert (TARGET, ("right",)) not in plan.asked
+
+
+def test_where_none_helps_what_takes_the_place_goes_first() -> None:
+    """Over the target, or where the fingers go; not what is merely large."""
+    lid = Block("lid", 44, 60, 7, 6, 0.05)
+    seen = view([*ALL, lid], planning({**GOOD, "lid": 0.9}))
+    room = GraspAwareConfig().finger * SCALE
+    rows, columns = np.nonzero(SEEN.mask)
+    places = dict.fromkeys(seen.candidates, 0.0)
+    for name in ("left", "right", "far", "lid"):
+        for row, column in np.argwhere(seen.instances.mask(name)).tolist():
+            away = np.hypot(rows - row, columns - column).min()
+            places[name] += 1.0 if away == 0 else 0.5 * (away <= room)
+    names = [name for name, _ in ranked(seen, GraspAware())]
+    assert names == sorted(seen.candidates, key=lambda n: -places[n])
+    assert names[0] == "lid"
+
+
+def test_while_the_target_is_not_seen_another_ranking_decides() -> None:
+    seen = view([LEFT, RIGHT, FAR], planning(GOOD))
+    rng = np.random.default_rng(0)
+    for search in (xray, largest):
+        np.testing.assert_array_equal(
+            GraspAware(search)(seen, rng), search(seen, rng)
+        )
+    peeping = replace(view(ALL, planning(GOOD)), candidates=("left", "far"))
+    np.testing.assert_array_equal(
+        GraspAware(largest)(peeping, rng), largest(peeping, rng)
+    )
+
+
+def test_what_it_needs_is_named() -> None:
+    seen = view(ALL, planning(GOOD))
+    for lacking in (replace(seen, outlook=None), replace(seen, plan=None)):
+        with pytest.raises(ValueError, match="an outlook and a planner"):
+            GraspAware()(lacking, np.random.default_rng(0))

@@ -1,0 +1,124 @@
+"""What lies behind an object, against a slow search and by laws."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.occupancy.scenes import make_camera
+from tests.policy.blocks import (
+    CAMERA_HEIGHT,
+    SHAPE,
+    Block,
+    heights_of,
+    look,
+    overhead_camera,
+)
+from xray_drake.occupancy.floor_grid import observed_heights
+from xray_drake.policy.removal import Removal, surface_behind
+
+
+def brute_force(
+    heights: np.ndarray, mask: np.ndarray
+) -> dict[tuple[int, int], set[float]]:
+    """Returns for each pixel of a mask the heights that may lie behind it."""
+    rows, columns = mask.shape
+    lower = []
+    for i in range(rows):
+        for j in range(columns):
+            if mask[i, j] or not np.isfinite(heights[i, j]):
+                continue
+            edge = [
+                heights[a, b]
+                for a in range(max(i - 1, 0), min(i + 2, rows))
+                for b in range(max(j - 1, 0), min(j + 2, columns))
+                if mask[a, b]
+            ]
+            if edge and heights[i, j] < max(edge) - 0.001:
+                lower.append((i, j))
+    result = {}
+    for i, j in np.argwhere(mask).tolist():
+        if not lower:
+            result[i, j] = {min(heights[i, j], np.float32(0))}
+            continue
+        away = [(a - i) ** 2 + (b - j) ** 2 for a, b in lower]
+        result[i, j] = {
+            min(heights[i, j], heights[lower[k]])
+            for k in np.flatnonzero(np.array(away) == min(away))
+        }
+    return result
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1))
+def test_it_is_what_a_slow_search_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    coarse = rng.choice([-np.inf, 0.0, 0.01, 0.02, 0.05], (3, 4))
+    heights = np.kron(coarse, np.ones((4, 4))).astype(np.float32)
+    heights += rng.choice([0.0, 0.0004], heights.shape).astype(np.float32)
+    mask = np.kron(rng.random((4, 4)) < 0.3, np.ones((3, 4))) > 0
+    behind = surface_behind(heights, mask)
+    np.testing.assert_array_equal(behind[~mask], heights[~mask])
+    for place, allowed in brute_force(heights, mask).items():
+        assert behind[place] in allowed
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_nothing_gets_higher(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    heights = rng.random((20, 30)).astype(np.float32) * 0.1
+    mask = rng.random((20, 30)) < 0.4
+    assert (surface_behind(heights, mask) <= heights).all()
+
+
+def test_what_lies_on_a_slab_leaves_the_slab() -> None:
+    slab = Block("slab", 20, 20, 30, 40, 0.01)
+    cup = Block("cup", 30, 30, 8, 8, 0.06)
+    seen = look([slab, cup])
+    depth, heights = Removal(seen.depth, overhead_camera()).without(cup.mask)
+    np.testing.assert_allclose(depth, look([slab]).depth, atol=1e-6)
+    np.testing.assert_allclose(heights, heights_of(depth), atol=1e-6)
+
+
+def test_what_lies_on_the_floor_leaves_the_floor() -> None:
+    """Also beside something higher, which does not go on under it."""
+    low = Block("low", 20, 20, 10, 10, 0.02)
+    tall = Block("tall", 20, 30, 10, 10, 0.08)
+    seen = look([low, tall])
+    depth, _ = Removal(seen.depth, overhead_camera()).without(low.mask)
+    np.testing.assert_allclose(depth, look([tall]).depth, atol=1e-6)
+
+
+def test_between_higher_things_it_lies_on_the_floor() -> None:
+    heights = np.full((9, 9), 0.08, np.float32)
+    mask = np.zeros((9, 9), bool)
+    mask[3:6, 3:6] = True
+    heights[mask] = 0.02
+    np.testing.assert_array_equal(surface_behind(heights, mask)[mask], 0.0)
+
+
+def test_a_blank_mask_removes_nothing() -> None:
+    seen = look([Block("cup", 5, 5, 5, 5)])
+    depth, _ = Removal(seen.depth, overhead_camera()).without(
+        np.zeros(SHAPE, bool)
+    )
+    np.testing.assert_array_equal(depth, seen.depth)
+
+
+@pytest.mark.parametrize("view", [{}, {"tilt": 10, "azimuth": 57, "roll": 8}])
+def test_depth_and_height_agree_under_any_camera(view: dict) -> None:
+    camera = make_camera(
+        focal_length=138, center=(63.5, 47.5), size=SHAPE[::-1], **view
+    )
+    depth = camera.plane_depth(0.0).astype(np.float32)
+    mask = Block("cup", 40, 50, 10, 12).mask
+    depth[mask] = camera.plane_depth(0.05)[mask]
+    without, heights = Removal(depth, camera).without(mask)
+    np.testing.assert_allclose(
+        observed_heights(without, camera, 0.0), heights, atol=1e-5
+    )
+    np.testing.assert_allclose(
+        without[mask], camera.plane_depth(0.0)[mask], atol=1e-5
+    )
+    assert camera.X_WC[2, 3] <= CAMERA_HEIGHT

@@ -1,0 +1,81 @@
+"""What a benchmark compares: policies, each with an inference."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+BLIND = ("random", "largest", "oracle")
+"""Policies that do not look at the distribution: whatever infers it, they do
+the same."""
+
+_FIRST = ("random", "largest", "xray")
+_LAST = ("oracle",)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A policy, and what it works with.
+
+    Attributes:
+        policy: name of its ranking.
+        occupancy: what infers the distribution; empty where the policy does
+            not look at it.
+        target_first: it grasps the target whenever it can.
+    """
+
+    policy: str
+    occupancy: str = ""
+    target_first: bool = True
+
+    @classmethod
+    def make(cls, policy: str, occupancy: str, target_first: bool) -> "Variant":
+        """Returns a variant; the inference is left out where none is used."""
+        used = "" if policy in BLIND else occupancy
+        return cls(policy, used, target_first)
+
+    @classmethod
+    def of(cls, record: dict[str, Any]) -> "Variant":
+        """Returns the variant that a rollout's record is of."""
+        return cls.make(
+            record["policy"],
+            record.get("occupancy", ""),
+            record.get("target_first", True),
+        )
+
+    @property
+    def label(self) -> str:
+        """What reports call it."""
+        notes = [self.occupancy] if self.occupancy else []
+        if not self.target_first:
+            notes.append("target not first")
+        return f"{self.policy} ({', '.join(notes)})" if notes else self.policy
+
+    @property
+    def order(self) -> tuple[int, str, str, bool]:
+        """What variants are sorted by: the paper's first, references last."""
+        rank = len(_FIRST) + (self.policy in _LAST)
+        if self.policy in _FIRST:
+            rank = _FIRST.index(self.policy)
+        return rank, self.policy, self.occupancy, not self.target_first
+
+
+def variants(
+    policies: Sequence[str],
+    occupancies: Sequence[str],
+    *,
+    target_first: bool = True,
+) -> tuple[Variant, ...]:
+    """Combines policies and inferences, each combination once.
+
+    Args:
+        policies: names of rankings.
+        occupancies: what infers the distribution.
+        target_first: see :class:`Variant`.
+    """
+    return tuple(
+        dict.fromkeys(
+            Variant.make(policy, occupancy, target_first)
+            for policy in policies
+            for occupancy in occupancies
+        )
+    )

@@ -1,0 +1,44 @@
+"""``xray-drake report``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from xray_drake.cli.errors import errors_as_lines
+
+
+def report(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Folders of xray-drake benchmark."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder to write to; by default the first."),
+    ] = None,
+) -> None:
+    """Write the paper's Table II, Figure 6 and more from rollouts."""
+    with errors_as_lines():
+        from xray_drake.benchmark.records import collect
+        from xray_drake.benchmark.report import (
+            make_report,
+            table_2,
+            write_report,
+        )
+
+        collection = collect(folders)
+        made = make_report(collection)
+        paths = write_report(made, out or folders[0])
+        console = Console()
+        if collection.repeated:
+            typer.echo(
+                f"xray-drake: repeated rollouts, left out: "
+                f"{collection.repeated} (the first of each counts)",
+                err=True,
+            )
+        for line in (*table_2(made), "", *(f"wrote {p}" for p in paths)):
+            console.print(line, soft_wrap=True, highlight=False)

@@ -1,0 +1,135 @@
+"""Grasp-aware: a target that is seen has to be freed for the gripper."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from xray_drake.policy.chance import chance
+from xray_drake.policy.ranking import (
+    Outlook,
+    Planning,
+    Ranking,
+    SearchView,
+    xray,
+)
+
+
+@dataclass
+class GraspAwareConfig:
+    """Which objects may be in the gripper's way."""
+
+    # Objects seen within this distance of the target, m: so far the gripper
+    # reaches from its grasp to any side.
+    reach: float = 0.06
+    # Of these, so many are thought away, the nearest first.
+    candidates: int = 6
+    # Room for a finger beside the target, m.
+    finger: float = 0.02
+    # The target probably is where the distribution is above this.
+    probable: float = 0.5
+    # What a pixel of a finger's room counts; one of the target's place counts
+    # as the distribution says.
+    room: float = 0.5
+
+
+class GraspAware:
+    """Scores objects by the grasp on the target that their removal allows.
+
+    X-Ray's score says what hides the target. Once the target is seen but cannot
+    be grasped, what matters is what blocks the gripper. So a grasp on the
+    target is planned without each of the objects near it, and an object's score
+    is one over the number of actions that it takes to remove the object and
+    then to grasp the target, as expected from the chances of both grasps; the
+    target's own is the chance of its grasp. Where no single removal makes a
+    grasp possible, the object is next that takes most of the place of the
+    target and of the fingers beside it.
+
+    While the target is not a candidate, another ranking decides.
+    """
+
+    def __init__(
+        self,
+        search: Ranking = xray,
+        config: GraspAwareConfig | None = None,
+    ) -> None:
+        """Sets the numbers.
+
+        Args:
+            search: decides while the target is not a candidate.
+            config: the numbers.
+        """
+        self._search = search
+        self.config = config or GraspAwareConfig()
+
+    def __call__(
+        self, view: SearchView, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Scores the candidates; see :class:`Ranking`.
+
+        Raises:
+            ValueError: the view has no outlook or cannot plan.
+        """
+        if view.outlook is None or view.plan is None:
+            raise ValueError("grasp_aware needs an outlook and a planner")
+        if view.target not in view.candidates:
+            return self._search(view, rng)
+        values = self._values(view, view.outlook, view.plan)
+        places = self._places(view, view.outlook)
+        own = np.array(
+            [[values.get(n, 0.0), places[n]] for n in view.candidates]
+        )
+        return np.hstack([own, xray(view, rng)])
+
+    def _values(
+        self, view: SearchView, outlook: Outlook, plan: Planning
+    ) -> dict[str, float]:
+        target = view.target
+        now = chance(plan(target))
+        if now > 0:
+            # Two actions are never worth more than one of at least one half.
+            return {target: now}
+        away = _distance(view.instances.mask(target))
+        distances = {
+            name: float(away[view.instances.mask(name)].min())
+            for name in view.candidates
+            if name != target
+        }
+        near = [
+            name
+            for name in sorted(distances, key=lambda name: distances[name])
+            if distances[name] <= self.config.reach * _scale(outlook)
+        ]
+        values = {}
+        for name in near[: self.config.candidates]:
+            first = chance(plan(name))
+            then = chance(plan(target, without=(name,))) if first > 0 else 0.0
+            if then > 0:
+                values[name] = 1 / (1 / first + 1 / then)
+        return values
+
+    def _places(self, view: SearchView, outlook: Outlook) -> dict[str, float]:
+        """Returns how much of target's and fingers' places each takes."""
+        config = self.config
+        rho = np.where(view.occupancy.support(), view.occupancy.data, 0)
+        probable = (rho > config.probable) | outlook.target_mask
+        room = _distance(probable) <= config.finger * _scale(outlook)
+        places = np.maximum(rho, config.room * room)
+        return {
+            name: float(places[view.instances.mask(name)].sum(dtype=float))
+            * (name != view.target)
+            for name in view.candidates
+        }
+
+
+def _scale(outlook: Outlook) -> float:
+    """Returns how many pixels a metre of the floor covers."""
+    camera = outlook.camera
+    return float(camera.intrinsics[0, 0] / camera.X_WC[2, 3])
+
+
+def _distance(mask: np.ndarray) -> np.ndarray:
+    """Returns the (H, W) distance to a mask that is not blank, pixels."""
+    return cv2.distanceTransform(
+        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+    )

@@ -1,0 +1,173 @@
+"""The LeafSystem that remembers where the target is not."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+    ValueProducer,
+)
+from pydrake.systems.sensors import ImageDepth32F
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import (
+    GripperMode,
+    GripperStatus,
+    InstanceMasks,
+    Message,
+    Outcome,
+    SearchAction,
+    TargetMask,
+)
+from xray_drake.policy.memory import Belief, TargetMemory
+from xray_drake.policy.shifts import Look
+
+
+@dataclass(frozen=True, eq=False)
+class _Remembered(Message):
+    """A belief, and how many actions had been done when it was formed."""
+
+    belief: Belief = field(default_factory=Belief)
+    number: int = -1
+
+
+class SearchMemory(LeafSystem):
+    """Turns what is seen into what is seen and remembered.
+
+    .. pydrake_system::
+
+        name: SearchMemory
+        input_ports:
+        - depth_image
+        - target_mask
+        - instances
+        - camera
+        - action
+        - status
+        output_ports:
+        - depth_image
+
+    It stands before the inference: ``depth_image`` (ImageDepth32F) comes in as
+    the camera sees it and goes out as remembered, see
+    :class:`~xray_drake.policy.memory.TargetMemory`. Like the policy it looks
+    once per action, when the gripper is idle and has done it; ``action`` and
+    ``status`` tell what was lifted in between. In a new context nothing is
+    remembered.
+    """
+
+    def __init__(
+        self,
+        *,
+        memory: TargetMemory,
+        width: int = 512,
+        height: int = 384,
+        period: float = 0.05,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            memory: what to keep.
+            width: of the images, pixels.
+            height: of the images, pixels.
+            period: how often it checks for an idle gripper, s; the policy's.
+        """
+        super().__init__()
+        self.set_name("search_memory")
+        self._memory = memory
+        camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
+        self._depth_image = self.DeclareAbstractInputPort(
+            "depth_image", Value(ImageDepth32F(width, height))
+        )
+        self._target_mask = self.DeclareAbstractInputPort(
+            "target_mask", Value(TargetMask())
+        )
+        self._instances = self.DeclareAbstractInputPort(
+            "instances", Value(InstanceMasks())
+        )
+        self._camera = self.DeclareAbstractInputPort("camera", Value(camera))
+        self._action = self.DeclareAbstractInputPort(
+            "action", Value(SearchAction())
+        )
+        self._status = self.DeclareAbstractInputPort(
+            "status", Value(GripperStatus())
+        )
+        self._state = self.DeclareAbstractState(Value(_Remembered()))
+        self._belief = self.DeclareCacheEntry(
+            description="belief after this look",
+            value_producer=ValueProducer(
+                allocate=lambda: Value(Belief()), calc=self._calc_belief
+            ),
+            prerequisites_of_calc={
+                self.abstract_state_ticket(self._state),
+                *(
+                    self.get_input_port(i).ticket()
+                    for i in range(self.num_input_ports())
+                ),
+            },
+        )
+        self.DeclareAbstractOutputPort(
+            "depth_image",
+            alloc=lambda: Value(ImageDepth32F(width, height)),
+            calc=self._calc_depth,
+            prerequisites_of_calc={
+                self._belief.ticket(),
+                self._camera.ticket(),
+            },
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(
+            period_sec=period, offset_sec=0.0, update=self._update
+        )
+
+    def _calc_belief(self, context: Context, output: AbstractValue) -> None:
+        before: _Remembered = context.get_abstract_state(
+            self._state
+        ).get_value()
+        status: GripperStatus = self._status.Eval(context)
+        if status.number == before.number:
+            output.set_value(before.belief)
+            return
+        action: SearchAction = self._action.Eval(context)
+        touched = {"lifted": "", "slipped": ""}
+        if status.number == action.number:
+            if status.outcome is Outcome.SLIPPED:
+                touched["slipped"] = action.grasp.object
+            elif status.outcome not in (Outcome.FAILED, Outcome.NO_GRASP):
+                touched["lifted"] = action.grasp.object
+        image: ImageDepth32F = self._depth_image.Eval(context)
+        mask: TargetMask = self._target_mask.Eval(context)
+        look = Look(
+            image.data[:, :, 0], mask.data, self._instances.Eval(context)
+        )
+        output.set_value(
+            self._memory.update(
+                before.belief, look, self._camera.Eval(context), **touched
+            )
+        )
+
+    def _calc_depth(self, context: Context, output: AbstractValue) -> None:
+        belief: Belief = self._belief.Eval(context)
+        image = output.get_mutable_value()
+        image.mutable_data[:, :, 0] = self._memory.recall(
+            belief, self._camera.Eval(context)
+        )
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        before: _Remembered = context.get_abstract_state(
+            self._state
+        ).get_value()
+        status: GripperStatus = self._status.Eval(context)
+        action: SearchAction = self._action.Eval(context)
+        waiting = (
+            status.mode is not GripperMode.IDLE
+            or status.number != action.number
+        )
+        if waiting or status.number == before.number:
+            return EventStatus.DidNothing()
+        state.get_mutable_abstract_state(self._state).set_value(
+            _Remembered(self._belief.Eval(context), status.number)
+        )
+        return EventStatus.Succeeded()

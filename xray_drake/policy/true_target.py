@@ -1,0 +1,66 @@
+"""The LeafSystem that tells the oracle where the target is."""
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.messages import TargetMask
+from xray_drake.scene.object_model import ObjectModel
+
+
+class TrueTargetMask(LeafSystem):
+    """Draws the target's amodal mask at its true pose: ground truth.
+
+    .. pydrake_system::
+
+        name: TrueTargetMask
+        input_ports:
+        - body_poses
+        - camera
+        output_ports:
+        - target_mask
+
+    ``body_poses`` are those of the plant, ``camera`` is a PinholeCamera and
+    ``target_mask`` a :class:`~xray_drake.messages.TargetMask`: where the target
+    would be seen if nothing lay before it.
+    """
+
+    def __init__(self, *, target: ObjectModel, body: int) -> None:
+        """Declares the ports.
+
+        Args:
+            target: the target.
+            body: its index in ``body_poses``.
+        """
+        super().__init__()
+        self.set_name("true_target")
+        self._vertices = target.visual.vertices
+        self._faces = target.visual.faces
+        self._body = body
+        self._poses = self.DeclareAbstractInputPort(
+            "body_poses", Value([RigidTransform()])
+        )
+        self._camera = self.DeclareAbstractInputPort(
+            "camera", Value(PinholeCamera(1, 1, np.eye(3), np.eye(4)))
+        )
+        self.DeclareAbstractOutputPort(
+            "target_mask",
+            alloc=lambda: Value(TargetMask()),
+            calc=self._calc_mask,
+            prerequisites_of_calc={
+                self._poses.ticket(),
+                self._camera.ticket(),
+            },
+        )
+
+    def _calc_mask(self, context: Context, output: AbstractValue) -> None:
+        X_WT = self._poses.Eval(context)[self._body].GetAsMatrix4()
+        camera: PinholeCamera = self._camera.Eval(context)
+        output.set_value(
+            TargetMask(
+                project_mesh_mask(self._vertices, self._faces, X_WT, camera)
+            )
+        )
