@@ -123,7 +123,7 @@ class PerceptionConfig:
 class PolicyConfig:
     """Which object is grasped next."""
 
-    # The ranking: "xray", "largest" or "random".
+    # One of POLICIES; see ``xray_drake.policy.policies``.
     name: str = "xray"
     # Grasp the target as soon as a grasp on it exists.
     target_first: bool = True
