@@ -53,7 +53,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return seen
 
 
-ASKED = ("--heaps", 2, "--seed", 30, "--policies", "largest, xray")
+ASKED = (
+    *("--heaps", 2, "--seed", 30),
+    *("--policies", "largest, xray", "--occupancy", "exact"),
+)
 
 
 def test_the_table_is_of_what_was_asked_for(done: Path) -> None:

@@ -112,6 +112,26 @@ def test_output_is_cached_until_an_input_changes() -> None:
     evaluate(system, context)
     assert len(calls) == 2
     np.testing.assert_array_equal(calls[1], depth - np.float32(0.1))
+    fix_depth(system, context, depth - 0.1)  # rendered again
+    evaluate(system, context)
+    assert len(calls) == 2
+    one = mask.copy()
+    one[30, 40] = True
+    system.GetInputPort("target_mask").FixValue(
+        context, AbstractValue.Make(TargetMask(one))
+    )
+    assert evaluate(system, context).data[30, 40] == 1.0
+    moved = overhead_camera()
+    X_WC = np.array(moved.X_WC)
+    X_WC[2, 3] += 0.01
+    system.GetInputPort("camera").FixValue(
+        context,
+        AbstractValue.Make(
+            PinholeCamera(WIDTH, HEIGHT, moved.intrinsics, X_WC)
+        ),
+    )
+    evaluate(system, context)
+    assert len(calls) == 4
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])

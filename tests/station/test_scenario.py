@@ -356,3 +356,13 @@ def test_a_scenario_made_in_python_is_checked_too() -> None:
 )
 def test_what_heaps_and_datasets_depend_on(text: str, said: str) -> None:
     assert said in complaint(text)
+
+
+def test_a_network_is_the_default_and_needs_images_of_its_sizes() -> None:
+    scenario = load_scenario("demo")
+    assert scenario.perception.occupancy == "learned"
+    scenario.camera.width = 500
+    with pytest.raises(ScenarioError, match=r"multiples of 32.*exact"):
+        check_scenario(scenario)
+    scenario.perception.occupancy = "exact"
+    check_scenario(scenario)

@@ -73,6 +73,10 @@ class QuasiStaticConfig:
     rest_round: float = 0.3
     # After this time the search goes on even if something still moves, s.
     rest_timeout: float = 3.0
+    # While it waits for rest, wakes also those bodies of the heap that nothing
+    # has disturbed: what sleeps under load may then give way a little. It makes
+    # up most of a rollout's time.
+    settle_awake: bool = False
 
 
 class Judge(Protocol):
@@ -300,7 +304,7 @@ class QuasiStaticGripper(LeafSystem):
             R_WO=R,
             p_WCom=X_WO.translation() + p_OCom_W,
             w_WO=w,
-            v_WCom=V_WO.translational() + np.cross(w, p_OCom_W),
+            v_WCom=V_WO.Shift(p_OCom_W).translational(),
         )
         applied = ExternallyAppliedSpatialForce()
         applied.body_index = BodyIndex(index)

@@ -23,6 +23,7 @@ from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
 from xray_drake.occupancy.learned import default_weights
+from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import (
@@ -111,7 +112,7 @@ class PerceptionConfig:
     segmenter: str = "ground_truth"
     # Infers the occupancy distribution: "learned" by a network; "posterior",
     # by a network too, but as probable as heaps have taught it; or "exact".
-    occupancy: str = "exact"
+    occupancy: str = "learned"
     # File of a network's weights, or a folder of networks of one box each; by
     # default the one that travels with the package.
     weights: str = ""
@@ -368,7 +369,7 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
         raise ScenarioError(
             f"{source}: scene.packaged_share needs scene.packaged: true"
         )
-    _check_weights(scenario.perception, source)
+    _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
     if scenario.seed < 0:
@@ -448,9 +449,17 @@ def _construct_tagged(loader: _StrictLoader, tag: str, node: yaml.Node) -> dict:
 _StrictLoader.add_multi_constructor("!", _construct_tagged)
 
 
-def _check_weights(perception: PerceptionConfig, source: str) -> None:
+def _check_weights(
+    perception: PerceptionConfig, camera: CameraConfig, source: str
+) -> None:
     if perception.occupancy == "exact":
         return
+    if camera.width % SIZE_STEP or camera.height % SIZE_STEP:
+        raise ScenarioError(
+            f"{source}: camera: images of {camera.width} x {camera.height}, "
+            f"but a network takes multiples of {SIZE_STEP}: choose such a "
+            "size, or perception.occupancy: exact"
+        )
     path = weights_path(perception)
     try:
         if not path.is_dir():
