@@ -71,7 +71,7 @@ class _Networks(ModuleType):
     """Stands for ``xray_drake.occupancy.learned``; remembers what it saw.
 
     A network named "modal" answers the modal mask; "weak", half of it for the
-    sample of seed 2.
+    sample of seed 2; any, nothing without scaling.
     """
 
     def __init__(self) -> None:
@@ -80,7 +80,9 @@ class _Networks(ModuleType):
         self.depths: list[np.ndarray] = []
         self.cameras: list[PinholeCamera] = []
 
-    def load_inference(self, path: Path, *, target_size: np.ndarray) -> Any:
+    def load_inference(
+        self, path: Path, *, target_size: np.ndarray, scaling: bool = True
+    ) -> Any:
         if path.stem == "gone":
             raise ValueError(f"{path} holds no weights")
         self.loaded.append((path.stem, tuple(target_size.tolist())))
@@ -92,7 +94,8 @@ class _Networks(ModuleType):
             self.cameras.append(camera)
             seed = round((float(depth[0, 0]) - 0.7) / 0.01)
             weak = path.stem == "weak" and seed == 2
-            return OccupancyDistribution(mask * (0.5 if weak else 1.0), 0.02)
+            value = (0.5 if weak else 1.0) * scaling
+            return OccupancyDistribution(mask * value, 0.02)
 
         return SimpleNamespace(infer=infer)
 
@@ -102,6 +105,16 @@ def networks(monkeypatch: pytest.MonkeyPatch) -> _Networks:
     module = _Networks()
     monkeypatch.setitem(sys.modules, module.__name__, module)
     return module
+
+
+def test_a_network_with_and_without_scaling(
+    folder: Path, networks: _Networks
+) -> None:
+    result = _run(folder, "--weights", "modal", "--unscaled", "--no-exact")
+    assert result.exit_code == 0
+    rows = _rows(result.stdout)
+    assert rows["all, 4", "modal"][:2] == ["100.0%", "1.000"]
+    assert rows["all, 4", "modal, unscaled"][1] == "0.000"
 
 
 def _run(*arguments: object) -> Any:

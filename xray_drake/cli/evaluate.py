@@ -47,6 +47,14 @@ def occupancy(
     exact: Annotated[
         bool, typer.Option("--exact/--no-exact", help="Exact inference, too.")
     ] = True,
+    unscaled: Annotated[
+        bool,
+        typer.Option(
+            "--unscaled",
+            help="Networks of a single box once more, without scaling the "
+            "image to the box.",
+        ),
+    ] = False,
     split: Annotated[
         str | None, typer.Option(help="train, validation or test.")
     ] = None,
@@ -107,7 +115,7 @@ def occupancy(
     """
     with errors_as_lines():
         _check_outputs(json, figure)
-        predictors = _predictors(weights or [], exact)
+        predictors = _predictors(weights or [], exact, unscaled)
 
         from xray_drake.dataset.augmentation import DepthNoise
         from xray_drake.dataset.reader import OccupancyDataset
@@ -200,7 +208,9 @@ def _check_outputs(json: Path | None, figure: Path | None) -> None:
         raise OSError(number, os.strerror(number), str(path))
 
 
-def _predictors(weights: Sequence[Path], exact: bool) -> dict[str, "Predictor"]:
+def _predictors(
+    weights: Sequence[Path], exact: bool, unscaled: bool
+) -> dict[str, "Predictor"]:
     """Returns networks, then exact inference, by the names of their rows.
 
     Raises:
@@ -218,12 +228,16 @@ def _predictors(weights: Sequence[Path], exact: bool) -> dict[str, "Predictor"]:
     if len(set(weights)) < len(weights):
         raise ValueError("the same --weights are given twice")
     stems = [_EXACT, *(path.stem for path in weights)]
-    found = {
-        path.stem if stems.count(path.stem) == 1 else str(path): (
-            learned_predictor(path)
-        )
+    named = {
+        path.stem if stems.count(path.stem) == 1 else str(path): path
         for path in weights
     }
+    found = {name: learned_predictor(path) for name, path in named.items()}
+    if unscaled:
+        found |= {
+            f"{name}, unscaled": learned_predictor(path, scaling=False)
+            for name, path in named.items()
+        }
     return found | ({_EXACT: exact_predictor()} if exact else {})
 
 

@@ -29,18 +29,19 @@ def exact_predictor() -> Predictor:
     return lambda sample: _infer(inference(sample.target_name), sample)
 
 
-def learned_predictor(path: Path) -> Predictor:
+def learned_predictor(path: Path, *, scaling: bool = True) -> Predictor:
     """Returns a network's inference; each size of target is prepared once.
 
     Args:
         path: of its weights; read when the first sample is asked about.
+        scaling: see :class:`xray_drake.occupancy.learned.LearnedInference`.
     """
     # The networks are not needed where only exact inference is asked.
     from xray_drake.occupancy.learned import load_inference
 
     @cache
     def inference(size: tuple[float, ...]) -> "OccupancyModel":
-        return load_inference(path, target_size=np.array(size))
+        return load_inference(path, target_size=np.array(size), scaling=scaling)
 
     return lambda sample: _infer(
         inference(tuple(sample.target_size.tolist())), sample
