@@ -5,11 +5,13 @@ import pytest
 import umsgpack
 from pydrake.geometry import Meshcat
 
-from xray_drake.drawing.meshcat_layers import start_meshcat
+from xray_drake.drawing.meshcat_layers import set_opacity, start_meshcat
 from xray_drake.inspector.drawing import SearchDrawing
 from xray_drake.messages import Grasp, GraspKind, SearchAction
-from xray_drake.search.diagram import SearchDiagram
+from xray_drake.scene.heap import Heap
+from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.record import ActionRecord
+from xray_drake.station.scenario import Scenario
 
 LAYERS = ("occupancy", "outline", "grasp")
 
@@ -84,3 +86,20 @@ def test_the_outline_is_that_of_the_object_chosen(
 
     assert geometry(1) == geometry(2)
     assert geometry(1) != geometry(3)
+
+
+def test_an_object_becomes_translucent(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    meshcat = start_meshcat()
+    diagram = build_search_diagram(
+        tiny_scenario, heap=tiny_heap, meshcat=meshcat
+    )
+    with pytest.raises(ValueError, match="'book'.*ForcedPublish"):
+        set_opacity(meshcat, "book", 0.25)
+    diagram.ForcedPublish(diagram.CreateDefaultContext())
+    set_opacity(meshcat, "book", 0.25)
+    packed = meshcat._GetPackedProperty(
+        "visualizer/book/book/book/visual", "modulated_opacity"
+    )
+    assert umsgpack.unpackb(packed)["value"] == 0.25

@@ -1,5 +1,6 @@
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import nbformat
@@ -24,6 +25,16 @@ def shown(notebook: NotebookNode) -> Iterator[tuple[str, str]]:
             yield from output.get("data", {}).items()
 
 
+def printed(notebook: NotebookNode) -> str:
+    """Returns what the cells print."""
+    return "".join(
+        output["text"]
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        if output.output_type == "stream" and output.name == "stdout"
+    )
+
+
 @notebooks
 def test_outputs_are_cleared(path: Path) -> None:
     notebook = nbformat.read(path, as_version=nbformat.NO_CONVERT)
@@ -36,7 +47,11 @@ def test_outputs_are_cleared(path: Path) -> None:
     assert "widgets" not in notebook.metadata
 
 
-def test_search_a_heap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def execute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], NotebookNode]:
+    """Executes a notebook, shortened, in a folder of its own."""
     monkeypatch.setenv("XRAY_DRAKE_NOTEBOOK_TEST", "1")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     # What is tested is this checkout, installed or not.
@@ -45,15 +60,24 @@ def test_search_a_heap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         str(Path(xray_drake.__file__).parents[1]),
         prepend=os.pathsep,
     )
-    notebook = nbformat.read(FOLDER / "01_search_a_heap.ipynb", as_version=4)
-    NotebookClient(
-        notebook,
-        timeout=600,
-        kernel_name="python3",
-        resources={"metadata": {"path": str(tmp_path)}},
-    ).execute()
 
-    outputs = list(shown(notebook))
+    def run(name: str) -> NotebookNode:
+        notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+        NotebookClient(
+            notebook,
+            timeout=600,
+            kernel_name="python3",
+            resources={"metadata": {"path": str(tmp_path)}},
+        ).execute()
+        return notebook
+
+    return run
+
+
+def test_search_a_heap(
+    execute: Callable[[str], NotebookNode], tmp_path: Path
+) -> None:
+    outputs = list(shown(execute("01_search_a_heap")))
     kinds = [kind for kind, _ in outputs]
     # The heap's images, the scores, two decisions.
     assert kinds.count("image/png") == 3
@@ -64,6 +88,47 @@ def test_search_a_heap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "srcdoc" in page
     (written,) = tmp_path.glob("*/search.html")
     assert written.stat().st_size > 1_000_000
+
+
+def test_inspect_heaps_and_objects(
+    execute: Callable[[str], NotebookNode], tmp_path: Path
+) -> None:
+    notebook = execute("02_inspect_heaps_and_objects")
+    kinds = [kind for kind, _ in shown(notebook)]
+    assert kinds.count("image/png") == 1
+    assert kinds.count("text/html") == 3
+    pages = {path.name: path.stat().st_size for path in tmp_path.glob("*/*")}
+    for name in ("object.html", "heap.html", "x_ray.html"):
+        assert pages[name] > 1_000_000
+    assert "most of the distribution is under" in printed(notebook)
+
+
+def test_occupancy_distributions(
+    execute: Callable[[str], NotebookNode],
+) -> None:
+    notebook = execute("03_occupancy_distributions")
+    kinds = [kind for kind, _ in shown(notebook)]
+    assert kinds.count("image/png") == 4
+    (poses,) = re.findall(r"(\d+) poses are possible", printed(notebook))
+    assert int(poses) > 0
+
+
+def test_bring_your_own_objects(
+    execute: Callable[[str], NotebookNode],
+) -> None:
+    notebook = execute("08_bring_your_own_objects")
+    outputs = list(shown(notebook))
+    assert [kind for kind, _ in outputs].count("image/png") == 2
+    (table,) = [text for kind, text in outputs if kind == "text/markdown"]
+    for name in ("ball", "beaker", "bracket", "ring", "slab", "stick"):
+        assert f"meshes/{name} |" in table
+    text = printed(notebook)
+    assert "not used: broken.stl: it has no faces" in text
+    assert text.strip().splitlines()[-1] in (
+        "success",
+        "horizon",
+        "nothing_graspable",
+    )
 
 
 @notebooks

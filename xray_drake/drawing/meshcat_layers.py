@@ -48,6 +48,26 @@ def look_at_bin(meshcat: Meshcat) -> None:
     meshcat.SetProperty("/Background", "bottom_color", [0.99, 0.99, 0.99])
 
 
+def set_opacity(meshcat: Meshcat, name: str, opacity: float) -> None:
+    """Makes an object of the plant translucent: an x-ray view.
+
+    Args:
+        meshcat: shows the station, which has been published.
+        name: of the object, which is its model instance's and its body's.
+        opacity: in [0, 1]; 1 as it was.
+
+    Raises:
+        ValueError: no such object is shown.
+    """
+    path = f"visualizer/{name}/{name}/{name}/visual"
+    if not meshcat.HasPath(path):
+        raise ValueError(
+            f"Meshcat shows no object {name!r}: publish the diagram first "
+            "(ForcedPublish), and see diagram.station.objects for the names"
+        )
+    meshcat.SetProperty(path, "modulated_opacity", opacity)
+
+
 def draw_occupancy(
     meshcat: Meshcat,
     path: str,

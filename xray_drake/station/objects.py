@@ -142,6 +142,8 @@ def make_heap(
         HeapError: heap after heap failed, or showed too much of the target.
     """
     most_visible = scenario.scene.most_visible
+    if library is None:
+        library = imported_objects(scenario)
     attempts = 0
     failures: tuple[str, ...] = ()
     for redrawn in range(_MOST_REDRAWS + 1):
