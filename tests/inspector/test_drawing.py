@@ -95,7 +95,7 @@ def test_an_object_becomes_translucent(
     diagram = build_search_diagram(
         tiny_scenario, heap=tiny_heap, meshcat=meshcat
     )
-    with pytest.raises(ValueError, match="'book'.*ForcedPublish"):
+    with pytest.raises(ValueError, match=r"'book'.*ForcedPublish"):
         set_opacity(meshcat, "book", 0.25)
     diagram.ForcedPublish(diagram.CreateDefaultContext())
     set_opacity(meshcat, "book", 0.25)
