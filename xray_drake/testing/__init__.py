@@ -1,0 +1,1 @@
+"""A tiny heap and pytest fixtures, to test one system of a diagram."""
