@@ -1,9 +1,16 @@
 """Agents that need no training: X-Ray, and any mask."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
+
+from xray_drake.messages import (
+    InstanceMasks,
+    OccupancyDistribution,
+    TargetMask,
+)
+from xray_drake.perception.ground_truth import target_instance
+from xray_drake.policy.ranking import SearchView, order, xray
 
 Observation = Mapping[str, np.ndarray]
 
@@ -36,12 +43,6 @@ def xray_agent(
     Raises:
         KeyError: the observation has no ``occupancy``.
     """
-    # Here and not at the top: agents that learn need not load Drake's side.
-    from xray_drake.messages import InstanceMasks, OccupancyDistribution
-    from xray_drake.messages import TargetMask
-    from xray_drake.perception.ground_truth import target_instance
-    from xray_drake.policy.ranking import SearchView, order, xray
-
     labels = np.asarray(observation["instances"])
     names = tuple(str(i) for i in range(labels.max(initial=-1) + 1))
     instances = InstanceMasks(labels, names)
@@ -56,7 +57,3 @@ def xray_agent(
         target=target if target_first else "",
     )
     return int(ranked[0][0]) if ranked else 0
-
-
-AGENTS: Mapping[str, Any] = {"random": random_agent, "xray": xray_agent}
-"""By name."""

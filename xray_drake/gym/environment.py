@@ -1,7 +1,7 @@
 """The search as a Gymnasium environment on Drake's own."""
 
 import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -29,7 +29,6 @@ from xray_drake.messages import (
     InstanceMasks,
     OccupancyDistribution,
     Outcome,
-    SearchAction,
 )
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
@@ -424,6 +423,3 @@ class MechanicalSearchEnv(DrakeGymEnv):
             for action in info["record"]["actions"]:
                 del action["seconds"]
         return info
-
-
-__all__: Sequence[str] = ["MechanicalSearchEnv"]

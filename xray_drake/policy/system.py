@@ -279,9 +279,7 @@ class SearchPolicy(LeafSystem):
             ),
         )
 
-    def _planned(
-        self, context: Context, failed: tuple[Grasp, ...]
-    ) -> _Planned:
+    def _planned(self, context: Context, failed: tuple[Grasp, ...]) -> _Planned:
         return _Planned(self._planner, self._object_poses(context), failed)
 
     def _object_poses(self, context: Context) -> dict[str, np.ndarray]:

@@ -100,9 +100,7 @@ def build_search_diagram(
     builder.AddSystem(station)
     camera = scenario.camera
     kind = (
-        Policy(RANKINGS["largest"])
-        if agent
-        else POLICIES[scenario.policy.name]
+        Policy(RANKINGS["largest"]) if agent else POLICIES[scenario.policy.name]
     )
     target = heap.target
     bodies = {
