@@ -103,6 +103,8 @@ class MechanicalSearchEnv(DrakeGymEnv):
         "render_fps": 1,
     }
 
+    simulator: Any  # Drake's Simulator; None before the first reset
+
     def __init__(
         self,
         scenario: Scenario | str | Path = "demo",
@@ -410,7 +412,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
 
     def _info(self) -> dict[str, Any]:
         record = self.monitor.record
-        info = {
+        info: dict[str, Any] = {
             "seed": self._seed,
             "support": self._state.support,
             "visible_fraction": self._state.visible_fraction,
