@@ -150,6 +150,12 @@ def test_a_search_that_has_ended_needs_a_reset(
     env = MechanicalSearchEnv(
         brief, drop=lambda scenario: tiny_heap, render_mode="rgb_array"
     )
+    # Drake's own modes have not got in.
+    assert (
+        MechanicalSearchEnv.metadata["render_modes"]
+        == env.metadata["render_modes"]
+    )
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(0)
     before, info = env.reset(seed=7)
@@ -161,6 +167,9 @@ def test_a_search_that_has_ended_needs_a_reset(
     assert masks.dtype == bool
     assert masks.tolist() == before["action_mask"].astype(bool).tolist()
     assert not masks[invalid]
+    for outside in (-1, invalid + 1):
+        with pytest.raises(gymnasium.error.InvalidAction, match="from 0 to 4"):
+            env.step(outside)
     after, reward, terminated, truncated, info = env.step(invalid)
     assert (reward, terminated, truncated) == (0.0, False, False)
     assert (info["valid"], info["object"]) == (False, "")

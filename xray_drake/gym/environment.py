@@ -1,5 +1,6 @@
 """The search as a Gymnasium environment on Drake's own."""
 
+import copy
 import gc
 from collections.abc import Callable
 from dataclasses import replace
@@ -63,7 +64,8 @@ class MechanicalSearchEnv(DrakeGymEnv):
     - ``target_mask``: (H, W) uint8, the target's modal mask;
     - ``instances``: (H, W) int16, −1 for the background, else the number of
       the mask, 0 the largest;
-    - ``action_mask``: (n,) int8, 1 for each mask that can be grasped;
+    - ``action_mask``: (n,) int8, 1 for each action that is valid; all 0 once
+      the search has terminated;
     - ``occupancy``, if asked for: (H, W) float32 in [0, 1].
 
     **Action**: the number of the mask to be grasped. The grasp on it is planned
@@ -168,7 +170,8 @@ class MechanicalSearchEnv(DrakeGymEnv):
         }
         if observe_occupancy:
             images["occupancy"] = spaces.Box(0.0, 1.0, shape, np.float32)
-        metadata = dict(self.metadata)
+        # Drake's constructor writes modes of its own into what it finds here.
+        self.metadata = copy.deepcopy(self.metadata)  # type: ignore[misc]
         super().__init__(
             self._make_simulator,
             time_step=_SLICE,
@@ -179,8 +182,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
             observation_port_id=f"{camera.name}.depth_image",
             render_rgb_port_id=f"{camera.name}.color_image",
         )
-        # Drake's constructor has modes of its own.
-        self.metadata = metadata  # type: ignore[misc]
+        del self.metadata
         self.render_mode = render_mode
         self._seed = 0
         self._slice = 0
@@ -254,11 +256,17 @@ class MechanicalSearchEnv(DrakeGymEnv):
 
         Raises:
             gymnasium.error.ResetNeeded: before ``reset``, or after the end.
+            gymnasium.error.InvalidAction: not in the action space.
         """
         record = self.monitor.record
         if record.end:
             raise gymnasium.error.ResetNeeded(
                 f"the search has ended ({record.end}): call reset()"
+            )
+        if not self.action_space.contains(action):
+            raise gymnasium.error.InvalidAction(
+                f"no action {action!r}: choose from 0 to "
+                f"{self.action_space.n - 1}"
             )
         valid = bool(self._valid[int(action)])
         name = self._names[int(action)] if valid else ""
@@ -353,7 +361,9 @@ class MechanicalSearchEnv(DrakeGymEnv):
         depth[~np.isfinite(depth)] = 0.0
         mask = self._eval("target_detector.target_mask").data
         labels = self._number(self._eval("instance_segmenter.instances"))
-        options: GraspOptions = self._eval("search_policy.options")
+        options = GraspOptions()
+        if self.monitor.record.end in ("", "horizon"):
+            options = self._eval("search_policy.options")
         self._valid = np.array(
             [
                 i < len(self._names) and self._names[i] in options.valid
