@@ -163,6 +163,7 @@ class SearchAction(Message):
         support_01: number of pixels with ρ > 0.1 when it decided.
         target_pixels: visible pixels of the target when it decided.
         seconds: wall time of each stage.
+        invalid: an agent chose what cannot be grasped, though others can.
     """
 
     number: int = 0
@@ -175,6 +176,35 @@ class SearchAction(Message):
     support_01: int = 0
     target_pixels: int = 0
     seconds: tuple[tuple[str, float], ...] = ()
+    invalid: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Choice(Message):
+    """What an agent wants to be grasped next.
+
+    Attributes:
+        number: of the action that it is for: 1, 2, …; 0 is no choice.
+        object: name of the instance; empty for none of them.
+    """
+
+    number: int = 0
+    object: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspOptions(Message):
+    """What a policy can have grasped, whatever its ranking.
+
+    Attributes:
+        candidates: names of the objects seen well enough.
+        qualities: of the best grasp on each; 0 where there is none.
+        valid: the candidates that some ranking would have grasped.
+    """
+
+    candidates: tuple[str, ...] = ()
+    qualities: tuple[float, ...] = ()
+    valid: tuple[str, ...] = ()
 
 
 class GripperMode(Enum):

@@ -358,7 +358,9 @@ class QuasiStaticGripper(LeafSystem):
                 motion,
                 action=action,
                 outcome=Outcome.NO_GRASP,
-                reason="no candidate has a grasp",
+                reason="the choice has no grasp, others have"
+                if action.invalid
+                else "no candidate has a grasp",
             )
         segment = Segment(
             _HOME, action.grasp.X_WG, time, self._config.approach_time

@@ -210,14 +210,31 @@ class SearchPolicy(LeafSystem):
         )
         if waiting:
             return EventStatus.DidNothing()
-        failed = memory.failed
-        if status.outcome in (Outcome.FAILED, Outcome.SLIPPED):
-            failed = (*failed, memory.action.grasp)
+        failed = self._failed(context)
         action = self._decide(context, memory.action.number + 1, failed)
         state.get_mutable_abstract_state(self._memory).set_value(
             _Memory(action, failed)
         )
         return EventStatus.Succeeded()
+
+    def _failed(self, context: Context) -> tuple[Grasp, ...]:
+        """Returns the grasps that failed, that of the last action included."""
+        memory: _Memory = context.get_abstract_state(self._memory).get_value()
+        status: GripperStatus = self._status.Eval(context)
+        if status.outcome in (Outcome.FAILED, Outcome.SLIPPED):
+            return *memory.failed, memory.action.grasp
+        return memory.failed
+
+    def _ranked(
+        self, context: Context, view: SearchView, number: int
+    ) -> list[tuple[str, float]]:
+        """Returns the candidates with their scores, the best first."""
+        return order(
+            view,
+            self._ranking,
+            stream(self._seed, "ranking", number),
+            target=view.target if self._target_first else "",
+        )
 
     def _decide(
         self, context: Context, number: int, failed: tuple[Grasp, ...]
@@ -230,7 +247,7 @@ class SearchPolicy(LeafSystem):
         occupancy: OccupancyDistribution = self._occupancy.Eval(context)
         inferred = clock()
         target = target_instance(instances, target_mask)
-        plan = _Planned(self._planner, self._object_poses(context), failed)
+        plan = self._planned(context, failed)
         view = SearchView(
             occupancy,
             instances,
@@ -240,12 +257,7 @@ class SearchPolicy(LeafSystem):
             self._outlook(context, target_mask),
             self._true_target.Eval(context).data if self._truth else None,
         )
-        ranked = order(
-            view,
-            self._ranking,
-            stream(self._seed, "ranking", number),
-            target=target if self._target_first else "",
-        )
+        ranked = self._ranked(context, view, number)
         ordered = clock()
         grasp, score = self._first_grasp(ranked, plan)
         planned = clock()
@@ -266,6 +278,9 @@ class SearchPolicy(LeafSystem):
                 ("planning", planned - ordered),
             ),
         )
+
+    def _planned(self, context: Context, failed: tuple[Grasp, ...]) -> _Planned:
+        return _Planned(self._planner, self._object_poses(context), failed)
 
     def _object_poses(self, context: Context) -> dict[str, np.ndarray]:
         body_poses = self._poses.Eval(context)

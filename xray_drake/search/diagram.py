@@ -15,9 +15,11 @@ from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
     GroundTruthTargetDetector,
 )
+from xray_drake.policy.choice_system import ChoicePolicy
 from xray_drake.policy.memory import MemoryConfig, TargetMemory
 from xray_drake.policy.memory_system import SearchMemory
-from xray_drake.policy.policies import POLICIES
+from xray_drake.policy.policies import POLICIES, Policy
+from xray_drake.policy.ranking import RANKINGS
 from xray_drake.policy.system import Foresight, SearchPolicy
 from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
@@ -29,6 +31,9 @@ from xray_drake.station.scenario import (
     check_scenario,
     weights_path,
 )
+
+AGENT = "agent"
+"""What the record calls the policy where an agent chooses."""
 
 _Output = tuple[System, str]
 _Wire = tuple[System, str, System, str]
@@ -44,12 +49,14 @@ class SearchDiagram(Diagram):
         heap: what lies in the bin in the default context.
         station: plant, scene graph and objects.
         meshcat: as given.
+        agent: as given.
     """
 
     scenario: Scenario
     heap: Heap
     station: StationParts
     meshcat: Meshcat | None
+    agent: bool
 
 
 def build_search_diagram(
@@ -58,6 +65,7 @@ def build_search_diagram(
     heap: Heap | None = None,
     meshcat: Meshcat | None = None,
     progress: Callable[[float], None] | None = None,
+    agent: bool = False,
 ) -> SearchDiagram:
     """Builds station, perception, inference, policy and gripper.
 
@@ -75,6 +83,10 @@ def build_search_diagram(
             some seconds.
         meshcat: shows the station, if given.
         progress: told the share of the drop that is done.
+        agent: an agent chooses each object in place of the scenario's ranking:
+            the policy is a
+            :class:`~xray_drake.policy.choice_system.ChoicePolicy`, whose input
+            is exported as ``search_policy.choice``. All else is the same.
 
     Raises:
         ScenarioError: a scenario that cannot be used.
@@ -87,7 +99,9 @@ def build_search_diagram(
     station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
     builder.AddSystem(station)
     camera = scenario.camera
-    kind = POLICIES[scenario.policy.name]
+    kind = (
+        Policy(RANKINGS["largest"]) if agent else POLICIES[scenario.policy.name]
+    )
     target = heap.target
     bodies = {
         name: int(item.body.index()) for name, item in parts.objects.items()
@@ -113,8 +127,9 @@ def build_search_diagram(
         config=scenario.gripper.planner,
         seed=scenario.seed,
     )
+    build_policy = ChoicePolicy if agent else SearchPolicy
     policy = builder.AddSystem(
-        SearchPolicy(
+        build_policy(
             ranking=kind.ranking,
             planner=planner,
             bodies=bodies,
@@ -211,6 +226,10 @@ def build_search_diagram(
     ]
     for source, output, drain, port in wires:
         builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
+    if agent:
+        builder.ExportInput(
+            policy.GetInputPort("choice"), "search_policy.choice"
+        )
     for box in boxes:
         _export_outputs(builder, box, f"{box.get_name()}.")
     _export_outputs(builder, station, "")
@@ -222,6 +241,7 @@ def build_search_diagram(
     diagram.heap = heap
     diagram.station = parts
     diagram.meshcat = meshcat
+    diagram.agent = agent
     return diagram
 
 

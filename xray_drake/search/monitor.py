@@ -17,7 +17,7 @@ from xray_drake.messages import (
 )
 from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin
 from xray_drake.scene.sleep_monitor import SleepMonitor
-from xray_drake.search.diagram import SearchDiagram
+from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.station.start import target_view
 
@@ -84,7 +84,7 @@ class SearchMonitor:
         self._drawing = False
         self.record = SearchRecord(
             horizon=scenario.horizon,
-            policy=scenario.policy.name,
+            policy=AGENT if diagram.agent else scenario.policy.name,
             occupancy=scenario.perception.occupancy,
             execution=scenario.gripper.execution,
             seed=scenario.seed,
@@ -96,7 +96,7 @@ class SearchMonitor:
                 "attempts": heap.attempts,
                 "redrawn": heap.redrawn,
             },
-            target_first=scenario.policy.target_first,
+            target_first=scenario.policy.target_first and not diagram.agent,
         )
 
     def __call__(self, root_context: Context) -> EventStatus:
@@ -163,7 +163,8 @@ class SearchMonitor:
     def _end(self, context: Context, status: GripperStatus) -> str:
         if not inside_bin(self._target_pose(context)[:3, 3]):
             return "target_lost"
-        if status.outcome is Outcome.NO_GRASP:
+        action: SearchAction = self._action.Eval(context)
+        if status.outcome is Outcome.NO_GRASP and not action.invalid:
             return "nothing_graspable"
         if len(self.record.actions) >= self._horizon:
             return "horizon"

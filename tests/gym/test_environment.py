@@ -1,0 +1,329 @@
+"""The environment on the tiny heap, which is not dropped."""
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pydrake.gym import DrakeGymEnv
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from xray_drake.gym import ENV_ID
+from xray_drake.gym.agents import random_agent, xray_agent
+from xray_drake.gym.environment import MechanicalSearchEnv
+from xray_drake.gym.rewards import (
+    SearchState,
+    discounted_return,
+    sparse,
+    surrogate,
+    visibility,
+)
+from xray_drake.scene.heap import Heap, HeapError
+from xray_drake.search.diagram import build_search_diagram
+from xray_drake.search.rollout import run_search
+from xray_drake.station.scenario import Scenario
+
+TARGET = "box_2to1"
+GAMMA = 0.9
+Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
+
+
+def play(
+    env: gymnasium.Env, agent: Callable[..., int], seed: int
+) -> tuple[dict[str, np.ndarray], dict[str, Any], list[Step]]:
+    rng = np.random.default_rng(0)
+    observation, info = env.reset(seed=seed)
+    first = observation, info
+    steps: list[Step] = []
+    done = False
+    while not done:
+        assert observation in env.observation_space
+        steps.append(env.step(agent(observation, rng)))
+        observation, _, terminated, truncated, _ = steps[-1]
+        done = terminated or truncated
+    return *first, steps
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    record = copy.deepcopy(record)
+    for action in record["actions"]:
+        action.pop("seconds", None)
+        del action["score"]  # an agent's choice has none
+    del record["policy"]
+    return record
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    scenario = Scenario(name="tiny", seed=99)  # reset's seed replaces it
+    scenario.scene.num_objects = 4
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def played(
+    scenario: Scenario, tiny_heap: Heap
+) -> tuple[dict[str, np.ndarray], dict[str, Any], list[Step]]:
+    """X-Ray as an agent, rewarded by the surrogate."""
+    env = gymnasium.make(
+        ENV_ID,
+        scenario=scenario,
+        reward="surrogate",
+        gamma=GAMMA,
+        observe_occupancy=True,
+        drop=lambda scenario: tiny_heap,
+    )
+    assert isinstance(env.unwrapped, DrakeGymEnv)
+    return play(
+        env,
+        lambda observation, rng: xray_agent(observation, target_first=False),
+        seed=7,
+    )
+
+
+def test_xray_as_an_agent_does_what_the_policy_does(
+    played: Any, tiny_heap: Heap, tiny_scenario: Scenario
+) -> None:
+    _, _, steps = played
+    record = run_search(build_search_diagram(tiny_scenario, heap=tiny_heap))
+    mine = steps[-1][-1]["record"]
+    assert mine["policy"] == "agent"
+    assert [s[-1]["object"] for s in steps] == [
+        a.object for a in record.actions
+    ]
+    assert without_times(mine) == without_times(record.to_dict())
+    assert [s[2:4] for s in steps[:-1]] == [(False, False)] * (len(steps) - 1)
+    assert steps[-1][2:4] == (True, False)
+    assert steps[-1][-1]["end"] == "success"
+
+
+def test_the_rewards_are_those_of_the_record(played: Any) -> None:
+    _, start, steps = played
+    actions = steps[-1][-1]["record"]["actions"]
+    rewards = [reward for _, reward, *_ in steps]
+    assert rewards == [
+        a["support_before"] - a["support_after"] for a in actions
+    ]
+    assert start["support"] == actions[0]["support_before"]
+    assert start["discounted_return"] == 0
+    for k, (*_, info) in enumerate(steps):
+        assert info["gamma"] == GAMMA
+        expected = sum(GAMMA**i * r for i, r in enumerate(rewards[: k + 1]))
+        assert info["discounted_return"] == pytest.approx(expected)
+        assert ("record" in info) == (k == len(steps) - 1)
+    seen = [
+        info["visible_fraction"] for info in (start, *(s[4] for s in steps))
+    ]
+    assert seen[:-1] == pytest.approx(
+        [a["target_visible_fraction"] for a in actions], abs=1e-4
+    )
+    assert seen[-1] == 1
+
+
+def test_what_is_observed(played: Any) -> None:
+    first, _, steps = played
+    labels, mask = first["instances"], first["target_mask"].astype(bool)
+    areas = np.bincount(labels[labels >= 0])
+    assert (np.diff(areas) <= 0).all()  # the largest first
+    target = np.unique(labels[mask])
+    assert len(target) == 1
+    assert first["depth"].dtype == np.float32
+    assert 0.7 < np.median(first["depth"]) < 0.81
+    assert first["occupancy"].max() == 1
+    valid = np.flatnonzero(first["action_mask"])
+    assert set(valid) <= set(range(len(areas)))
+    # An object that was taken away is not seen any more.
+    last = steps[0][0]
+    assert steps[0][-1]["object"] == "book"
+    assert last["target_mask"].sum() > 5 * mask.sum()
+
+
+def test_a_search_that_has_ended_needs_a_reset(
+    scenario: Scenario, tiny_heap: Heap
+) -> None:
+    """And an invalid action spends one of the horizon's."""
+    brief = copy.deepcopy(scenario)
+    brief.horizon = 2
+    env = MechanicalSearchEnv(
+        brief, drop=lambda scenario: tiny_heap, render_mode="rgb_array"
+    )
+    # Drake's own modes have not got in.
+    assert (
+        MechanicalSearchEnv.metadata["render_modes"]
+        == env.metadata["render_modes"]
+    )
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(0)
+    before, info = env.reset(seed=7)
+    picture = env.render()
+    assert picture is not None
+    assert (picture.shape, picture.dtype) == ((384, 512, 3), np.uint8)
+    invalid = int(env.action_space.n) - 1
+    masks = env.action_masks()
+    assert masks.dtype == bool
+    assert masks.tolist() == before["action_mask"].astype(bool).tolist()
+    assert not masks[invalid]
+    for outside in (-1, invalid + 1):
+        with pytest.raises(gymnasium.error.InvalidAction, match="from 0 to 4"):
+            env.step(outside)
+    after, reward, terminated, truncated, info = env.step(invalid)
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert (info["valid"], info["object"]) == (False, "")
+    assert info["outcome"] == "no_grasp"
+    for key, value in before.items():
+        np.testing.assert_array_equal(after[key], value)
+    after["depth"][:] = 0  # what is given away may be changed
+    *_, terminated, truncated, info = env.step(invalid)
+    assert (terminated, truncated) == (False, True)
+    assert info["end"] == info["record"]["end"] == "horizon"
+    assert info["record"]["num_actions"] == 2
+    assert "others have" in info["record"]["actions"][0]["reason"]
+    with pytest.raises(gymnasium.error.ResetNeeded, match="horizon"):
+        env.step(0)
+
+
+def test_nothing_graspable_ends_it(scenario: Scenario, tiny_heap: Heap) -> None:
+    weak = copy.deepcopy(scenario)
+    weak.gripper.parameters.force = 1e-6
+    weak.gripper.parameters.vacuum_force = 1e-6
+    env = MechanicalSearchEnv(weak, drop=lambda scenario: tiny_heap)
+    observation, _ = env.reset(seed=7)
+    assert not observation["action_mask"].any()
+    assert env.action_masks().all()  # or a masked policy has nothing to draw
+    action = random_agent(observation, np.random.default_rng(0))
+    *_, terminated, truncated, info = env.step(action)
+    assert (terminated, truncated) == (True, False)
+    assert info["end"] == "nothing_graspable"
+
+
+def test_a_random_agent_to_the_end_and_again(
+    scenario: Scenario, tiny_heap: Heap
+) -> None:
+    env = MechanicalSearchEnv(
+        scenario, reward="sparse", drop=lambda scenario: tiny_heap
+    )
+    one, other = (play(env, random_agent, seed=3) for _ in range(2))
+    assert len(one[2]) == len(other[2]) <= 10
+    for a, b in zip(one[2], other[2], strict=True):
+        assert a[1:] == b[1:]
+        for key in a[0]:
+            np.testing.assert_array_equal(a[0][key], b[0][key])
+    rewards = [step[1] for step in one[2]]
+    success = one[2][-1][-1]["end"] == "success"
+    assert rewards == [0.0] * (len(rewards) - 1) + [float(success)]
+    assert all(step[-1]["valid"] for step in one[2])
+
+
+def test_a_simulation_that_fails_truncates(
+    scenario: Scenario, tiny_heap: Heap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = MechanicalSearchEnv(scenario, drop=lambda scenario: tiny_heap)
+    before, _ = env.reset(seed=7)
+    monkeypatch.setattr("xray_drake.gym.environment._LONGEST_ACTION", 0.1)
+    after, reward, terminated, truncated, info = env.step(0)
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert "seed 7" in info["error"]
+    assert info["end"] == "error"
+    np.testing.assert_array_equal(after["depth"], before["depth"])
+
+
+def test_the_seed_of_the_heap(scenario: Scenario) -> None:
+    seeds: list[int] = []
+
+    def drop(scenario: Scenario) -> Heap:
+        seeds.append(scenario.seed)
+        raise HeapError("not today")
+
+    env = MechanicalSearchEnv(scenario, drop=drop)
+    for seed in (5, None, None, 5, None):
+        with pytest.raises(HeapError, match="not today"):
+            env.reset(seed=seed)
+    assert seeds[0] == seeds[3] == 5
+    assert seeds[1] == seeds[4] != seeds[2]
+    assert min(seeds[1], seeds[2]) >= 10_000  # the others are for reports
+    assert scenario.seed == 99
+
+
+def test_a_heap_of_more_objects_than_actions(tiny_heap: Heap) -> None:
+    few = Scenario()
+    few.scene.num_objects = 2
+    env = MechanicalSearchEnv(few, drop=lambda scenario: tiny_heap)
+    with pytest.raises(ValueError, match="5 objects but there are 3 actions"):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"reward": "fame"}, "sparse, surrogate, visibility"),
+        ({"gamma": 1.0}, "gamma is 1.0"),
+        ({"render_mode": "ansi"}, "human, rgb_array"),
+        ({"scenario": "nowhere"}, "no scenario 'nowhere'"),
+    ],
+)
+def test_what_cannot_be_made(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        MechanicalSearchEnv(**settings)
+
+
+def test_reset_has_no_options(scenario: Scenario) -> None:
+    with pytest.raises(ValueError, match="no options"):
+        MechanicalSearchEnv(scenario).reset(options={"heap": 3})
+
+
+def test_rewards() -> None:
+    before, after = SearchState(900, 0.25), SearchState(400, 0.75)
+    lifted = SearchState(0, 1.0, success=True)
+    assert sparse(before, after) == 0
+    assert sparse(after, lifted) == 1
+    assert surrogate(before, after) == 500
+    assert surrogate(after, before) == -500
+    assert visibility(before, after) == 0.5
+    assert visibility(after, lifted) == 0.25
+    assert discounted_return([1, 2, 4], 0.5) == 3
+    assert discounted_return([], 0.5) == 0
+
+
+def test_agents() -> None:
+    labels = np.full((4, 6), -1, np.int16)
+    labels[:2], labels[2, :3], labels[3, 3:] = 0, 1, 2
+    rho = np.zeros((4, 6), np.float32)
+    rho[2, :2] = 1.0
+    rho[0, 0] = 0.5
+    observation = {
+        "instances": labels,
+        "occupancy": rho,
+        "target_mask": (labels == 2).astype(np.uint8),
+        "action_mask": np.array([1, 1, 0, 0], np.int8),
+    }
+    assert xray_agent(observation) == 1
+    observation["action_mask"] = np.array([1, 0, 0, 0], np.int8)
+    assert xray_agent(observation) == 0
+    observation["action_mask"] = np.array([1, 1, 1, 0], np.int8)
+    assert xray_agent(observation) == 2  # the target first
+    assert xray_agent(observation, target_first=False) == 1
+    rng = np.random.default_rng(0)
+    drawn = {random_agent(observation, rng) for _ in range(50)}
+    assert drawn == {0, 1, 2}
+    observation["action_mask"][:] = 0
+    assert xray_agent(observation) == random_agent(observation, rng) == 0
+
+
+def test_gymnasiums_checker(scenario: Scenario, tiny_heap: Heap) -> None:
+    env = gymnasium.make(
+        ENV_ID, scenario=scenario, drop=lambda scenario: tiny_heap
+    )
+    check_env(env.unwrapped)
+
+
+# Images of one channel that are no bytes: it says that its own CNN policies
+# need to be given an extractor.
+@pytest.mark.filterwarnings("ignore:Your observation .* unconventional shape")
+def test_stable_baselines_checker(scenario: Scenario, tiny_heap: Heap) -> None:
+    sb3_check_env(
+        MechanicalSearchEnv(scenario, drop=lambda scenario: tiny_heap)
+    )

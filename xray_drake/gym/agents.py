@@ -1,0 +1,59 @@
+"""Agents that need no training: X-Ray, and any mask."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from xray_drake.messages import (
+    InstanceMasks,
+    OccupancyDistribution,
+    TargetMask,
+)
+from xray_drake.perception.ground_truth import target_instance
+from xray_drake.policy.ranking import SearchView, order, xray
+
+Observation = Mapping[str, np.ndarray]
+
+
+def random_agent(observation: Observation, rng: np.random.Generator) -> int:
+    """Chooses any of the valid masks; any mask at all where none is."""
+    valid = np.flatnonzero(observation["action_mask"])
+    return int(rng.choice(valid)) if len(valid) else 0
+
+
+def xray_agent(
+    observation: Observation,
+    rng: np.random.Generator | None = None,
+    *,
+    target_first: bool = True,
+    support_threshold: float = 0.0,
+) -> int:
+    """X-Ray: the valid mask with most of the distribution (paper section V).
+
+    On the same heap it does what the policy ``xray`` does.
+
+    Args:
+        observation: with ``occupancy``: make the environment with
+            ``observe_occupancy=True``.
+        rng: not used; so that agents can take each other's place.
+        target_first: grasp the target whenever that is valid.
+        support_threshold: values above it are support: 0 for exact inference,
+            0.02 for networks.
+
+    Raises:
+        KeyError: the observation has no ``occupancy``.
+    """
+    labels = np.asarray(observation["instances"])
+    names = tuple(str(i) for i in range(labels.max(initial=-1) + 1))
+    instances = InstanceMasks(labels, names)
+    valid = tuple(str(i) for i in np.flatnonzero(observation["action_mask"]))
+    rho = OccupancyDistribution(observation["occupancy"], support_threshold)
+    target = target_instance(instances, TargetMask(observation["target_mask"]))
+    view = SearchView(rho, instances, valid, target)
+    ranked = order(
+        view,
+        xray,
+        rng or np.random.default_rng(0),
+        target=target if target_first else "",
+    )
+    return int(ranked[0][0]) if ranked else 0
