@@ -92,8 +92,12 @@ def search(
         str | None,
         typer.Option(help="File of a network's weights, or a folder of them."),
     ] = None,
-    detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
-    segmenter: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="ground_truth or hsv.")
+    ] = None,
+    segmenter: Annotated[
+        str | None, typer.Option(help="ground_truth or depth.")
+    ] = None,
     grasps: Annotated[str | None, typer.Option(help="models.")] = None,
     target_first: Annotated[
         bool | None,
@@ -194,8 +198,12 @@ def benchmark(
         str | None,
         typer.Option(help="File of a network's weights, or a folder of them."),
     ] = None,
-    detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
-    segmenter: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="ground_truth or hsv.")
+    ] = None,
+    segmenter: Annotated[
+        str | None, typer.Option(help="ground_truth or depth.")
+    ] = None,
     grasps: Annotated[str | None, typer.Option(help="models.")] = None,
     resume: Annotated[
         bool,

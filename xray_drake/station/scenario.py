@@ -24,6 +24,9 @@ from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
 from xray_drake.occupancy.learned import default_weights
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
+from xray_drake.perception.depth_noise import DepthNoise
+from xray_drake.perception.depth_segmenter import DepthSegmenterConfig
+from xray_drake.perception.hsv_target import HsvTargetConfig
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import (
     CameraSampling,
@@ -36,8 +39,8 @@ from xray_drake.scene.plant import default_plant_config
 from xray_drake.scene.targets import TARGET_NAMES
 from xray_drake.splits import SPLITS
 
-DETECTORS = ("ground_truth",)
-SEGMENTERS = ("ground_truth",)
+DETECTORS = ("ground_truth", "hsv")
+SEGMENTERS = ("ground_truth", "depth")
 OCCUPANCIES = ("learned", "posterior", "exact")
 POLICIES = (
     "xray",
@@ -105,10 +108,13 @@ class SceneConfig:
 class PerceptionConfig:
     """Which perception systems look at the images."""
 
-    # Finds the target's modal mask: "ground_truth".
+    # Finds the target's modal mask: "ground_truth", or "hsv" by its colour.
     detector: str = "ground_truth"
-    # Finds the modal masks of all objects: "ground_truth".
+    # Finds the modal masks of all objects: "ground_truth", or "depth" by the
+    # shape of what is seen.
     segmenter: str = "ground_truth"
+    # The depth image is as a real sensor gives it.
+    noise: bool = False
     # Infers the occupancy distribution: "learned" by a network; "posterior",
     # by a network too, but as probable as heaps have taught it; or "exact".
     occupancy: str = "exact"
@@ -117,6 +123,14 @@ class PerceptionConfig:
     weights: str = ""
     # Settings of "exact".
     exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
+    # Settings of "hsv".
+    hsv: HsvTargetConfig = field(default_factory=HsvTargetConfig)
+    # Settings of "depth".
+    depth_segmenter: DepthSegmenterConfig = field(
+        default_factory=DepthSegmenterConfig
+    )
+    # Settings of the noise.
+    depth_noise: DepthNoise = field(default_factory=DepthNoise)
 
 
 @dataclass
@@ -368,6 +382,14 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
         raise ScenarioError(
             f"{source}: scene.packaged_share needs scene.packaged: true"
         )
+    if (
+        scenario.perception.segmenter == "depth"
+        and scenario.gripper.grasps == "models"
+    ):
+        raise ScenarioError(
+            f"{source}: perception.segmenter is depth, but gripper.grasps is "
+            "models: of what is found in depth no model is known"
+        )
     _check_weights(scenario.perception, source)
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
@@ -391,6 +413,7 @@ _MUST_BE_POSITIVE = (
     "camera_sampling.least_focal",
     "scene.heap.max_attempts",
     "scene.heap.rest_round",
+    "perception.depth_segmenter.arm",
     "gripper.quasi_static.approach_time",
     "gripper.quasi_static.speed",
     "plant_config.time_step",
