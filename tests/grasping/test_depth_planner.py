@@ -113,14 +113,13 @@ def test_a_lying_rod_is_squeezed_across(planner):
 
 
 def test_nothing_under_a_roof(planner):
-    flat, roof = (
-        block(FLAT, at(0, 0, 0.0025)),
-        block([0.2, 0.2, 0.01], at(0.11, 0, 0.05)),
-    )
-    depth, mask = see(CAMERA, flat, roof)
-    assert 100 < mask.sum() < 400
+    """Seen through a slot too narrow for the fingers."""
+    flat = block(FLAT, at(0, 0, 0.0025))
+    roofs = [block([0.2, 0.2, 0.01], at(s * 0.107, 0, 0.05)) for s in (1, -1)]
+    depth, mask = see(CAMERA, flat, *roofs)
+    assert 50 < mask.sum() < 250
     assert not planner.plan("it", mask, depth, CAMERA)
-    assert plan(planner, roof, flat).kind is GraspKind.SUCTION
+    assert plan(planner, roofs[0], flat).kind is GraspKind.SUCTION
 
 
 def test_nothing_between_high_posts(planner):
@@ -178,27 +177,34 @@ def test_turning_scene_and_camera_turns_the_grasps(seed):
     again = planner.find_grasps("it", mask, depth, turned(camera, angle))
     assert len(found) == len(again) > 0
     for a, b in zip(found, again, strict=True):
-        np.testing.assert_allclose(X @ a.X_WG, b.X_WG, atol=1e-6)
+        # Of a jaw and the same jaw half turned, either may come first.
+        half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+        error = min(
+            np.abs(X @ a.X_WG @ turn - b.X_WG).max()
+            for turn in (np.eye(4), half_turn)
+        )
+        assert error < 1e-6
         assert a.quality == pytest.approx(b.quality, abs=1e-6)
         assert a.width == pytest.approx(b.width, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_no_grasp_has_a_point_of_the_image_in_the_gripper(planner, seed):
+def test_no_grasp_has_a_point_of_the_image_in_the_gripper(planner):
     camera = CAMERAS["tilted"]
-    depth, mask = see(camera, *clutter(np.random.default_rng(seed), 8))
-    points = camera.unproject(depth.astype(float)).reshape(-1, 3)
-    points = points[points[:, 2] > 0.002]
     judge = GraspJudge(())
-    found = planner.find_grasps("it", mask, depth, camera)
-    assert found
-    for grasp in found:
-        opening = float(judge.opening(np.asarray(grasp.width)))
-        inside = depth_inside(points, grasp.X_WG, grasp.kind, opening)
-        assert inside < 0.0005
-        assert -grasp.X_WG[2, 2] >= np.cos(planner.config.max_tilt) - 1e-9
-        assert 0 < grasp.quality <= 1
-        assert 0 <= grasp.width <= planner.parameters.opening
+    found = 0
+    for seed in range(6):
+        depth, mask = see(camera, *clutter(np.random.default_rng(seed), 7))
+        points = camera.unproject(depth.astype(float)).reshape(-1, 3)
+        points = points[points[:, 2] > 0.002]
+        for grasp in planner.find_grasps("it", mask, depth, camera):
+            opening = float(judge.opening(np.asarray(grasp.width)))
+            inside = depth_inside(points, grasp.X_WG, grasp.kind, opening)
+            assert inside < 0.0005
+            assert -grasp.X_WG[2, 2] >= np.cos(planner.config.max_tilt) - 1e-9
+            assert 0 < grasp.quality <= 1
+            assert 0 <= grasp.width <= planner.parameters.opening
+            found += 1
+    assert found > 15
 
 
 def test_what_cannot_be_seen_has_no_grasp(planner):
@@ -261,7 +267,7 @@ def test_a_heavier_guess_lowers_the_quality(planner):
     assert not plan(leaden, plate)
 
 
-@pytest.mark.parametrize(("x", "y"), [(0.215, 0.165), (-0.22, 0.0)])
+@pytest.mark.parametrize(("x", "y"), [(0.2, 0.15), (-0.22, 0.0)])
 def test_beside_a_wall_the_gripper_stays_clear_of_it(planner, x, y):
     """The wall is not in the image; the exact check knows it."""
     depth, mask = see(CAMERA, block([0.05, 0.03, 0.02], at(x, y, 0.01)))

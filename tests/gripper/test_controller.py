@@ -9,6 +9,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from xray_drake.gripper.controller import GripperController
+from xray_drake.gripper.grip_surfaces import add_grip_surfaces
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
@@ -147,12 +148,13 @@ class Cell:
 
     def __init__(self, model: ObjectModel) -> None:
         builder = DiagramBuilder()
-        plant, _ = add_plant(builder, default_plant_config())
+        plant, scene_graph = add_plant(builder, default_plant_config())
         add_bin(plant, with_tote=True)
         gripper = add_gripper(plant)
         self.item = add_object(plant, model)
         height = model.extents[2] / 2
         self.item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
+        add_grip_surfaces(plant, scene_graph, gripper, [self.item])
         plant.Finalize()
         cup = builder.AddSystem(
             SuctionCup(

@@ -17,6 +17,7 @@ from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
     load_gripper_geometry,
 )
+from xray_drake.gripper.grip_surfaces import PAD, add_grip_surfaces
 from xray_drake.gripper.yumi import FINGER_JOINTS, HOME, add_gripper
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import add_camera
@@ -52,6 +53,9 @@ class Cell:
             height = model.extents[2] / 2
             item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
             self.items[model.name] = item
+        add_grip_surfaces(
+            self.plant, self.scene_graph, self.gripper, self.items.values()
+        )
         self.plant.Finalize()
         if camera:
             sensor, _ = add_camera(builder, self.scene_graph, nominal_camera())
@@ -244,27 +248,29 @@ def test_it_touches_nothing_that_planning_would_not(alone: Cell) -> None:
         )
 
 
-def test_pads_are_points_with_the_friction_torque_of_a_disc(
-    alone: Cell,
-) -> None:
+def test_pads_are_where_and_as_large_as_planning_has_them(alone: Cell) -> None:
     inspector = alone.scene_graph.model_inspector()
     parameters = GripperParameters()
-    for name in ("left_finger", "right_finger"):
+    gap = []
+    for name, side in (("left_finger", 1), ("right_finger", -1)):
         body = alone.plant.GetBodyByName(name)
-        points = np.array(
-            [
-                inspector.GetPoseInFrame(geometry).translation()
-                for geometry in alone.plant.GetCollisionGeometriesForBody(body)
-                if "pad" in inspector.GetName(geometry)
-            ]
-        )
-        assert len(points) == 12
-        assert np.ptp(points[:, 1]) == 0.0
-        arms = np.linalg.norm(points - points.mean(axis=0), axis=1)
-        area = parameters.pad_width * parameters.pad_height
-        disc = 2 / 3 * np.sqrt(area / np.pi)
-        assert arms.mean() == pytest.approx(disc, rel=0.05)
-        assert np.abs(points[:, 0]).max() < parameters.pad_width / 2
+        shapes = {
+            inspector.GetName(geometry).split("::")[-1]: geometry
+            for geometry in alone.plant.GetCollisionGeometriesForBody(body)
+        }
+        pad = inspector.GetShape(shapes[PAD])
+        width, thickness, height = pad.size()
+        assert (width, height) == (parameters.pad_width, parameters.pad_height)
+        front = [
+            side * inspector.GetPoseInFrame(shapes[kind]).translation()[1]
+            - inspector.GetShape(shapes[kind]).size()[1] / 2
+            for kind in (PAD, "finger")
+        ]
+        assert front[1] - front[0] == pytest.approx(0.001)
+        gap.append(0.029 + front[0])  # where the finger stands when open
+        properties = inspector.GetProximityProperties(shapes[PAD])
+        assert properties.HasProperty("hydroelastic", "hydroelastic_modulus")
+    assert sum(gap) == pytest.approx(parameters.opening)
 
 
 def test_typed_access(alone: Cell) -> None:
@@ -332,7 +338,7 @@ def test_its_forces_are_limited() -> None:
     cell.advance(0.3)
     assert np.abs(cell.effort("fingers")).max() <= 20.0 + 1e-6
     assert cell.effort("wrist")[2] == pytest.approx(-60.0)
-    assert cell.wrist[2] == pytest.approx(cell.q[2] - 0.017, abs=0.004)
+    assert cell.wrist[2] > cell.q[2] - 0.025  # the floor is in the way
 
 
 @pytest.mark.parametrize(
@@ -358,7 +364,7 @@ def test_it_lifts_the_thin_target_with_full_force() -> None:
     cell = Cell(target_model("box_2to1"))
     cell.at(jaw_at(0.0035))
     cell.close(20.0)
-    assert 0.05 - cell.fingers.sum() == pytest.approx(0.0212, abs=0.0015)
+    assert 0.05 - cell.fingers.sum() == pytest.approx(0.0212, abs=5e-4)
     start = cell.height("box_2to1")
     cell.lift()
     assert cell.height("box_2to1") - start == pytest.approx(0.08, abs=1e-3)

@@ -5,7 +5,7 @@ import numpy as np
 from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.messages import GraspKind
 
-TIP_SPACING = 0.004
+TIP_SPACING = 0.0028
 """Distance of the points on fingers, stem and cup, m."""
 
 BODY_SPACING = 0.010
@@ -96,7 +96,7 @@ class ApproachShape:
         # jaw is closed where the cup comes.
         round_ = gripper.round & (not jaw)
         closing = gripper.closing * jaw
-        slender = (closing != 0) | round_
+        slender = (closing != 0) | gripper.round
         shut = 0.5 * gripper.open_width * np.array([0.0, 1.0, 0.0])
 
         clouds, sides, fine = [], [], []

@@ -24,6 +24,9 @@ _FLOOR_NOISE = 0.002
 """Readings less than this above the bin's floor are of the floor, m. Who asks
 keeps the fingertips above it, since the floor is known better than seen."""
 
+_WALL_MARGIN = 0.002
+"""Kept from the bin's walls, beyond whose edges no points need be, m."""
+
 _CHUNK = 16
 """Poses compared at once, few enough to stay in the processor's cache."""
 
@@ -171,6 +174,8 @@ class FreeSpace:
         walls = bin_room(
             shape.transform(part, _IDENTITY, X_WG[alive], opening[alive])
         )
-        keeps = np.searchsorted(self._levels, walls, side="right")
+        keeps = np.searchsorted(
+            self._levels + _WALL_MARGIN, walls, side="right"
+        )
         count[alive] = np.minimum(count[alive], keeps)
         return count

@@ -231,6 +231,8 @@ def find_rims(
     deepest = np.where(out, drop, 0.0).max(axis=1)
     wall = np.minimum(deepest, _ROUND_WALL + flat * (_FLAT_WALL - _ROUND_WALL))
     wall[flank] = 0.0
+    # The edge is, on average, half a pixel beyond the pixel's centre.
+    point = point + 0.5 * surface.pixel_size() * across
     return Rims(point, normal, wall).take(clear)
 
 

@@ -18,7 +18,7 @@ from xray_drake.grasping.judgement import DOWN, GRAVITY, GraspJudge
 from xray_drake.grasping.wrench import suction_holding_force
 from xray_drake.messages import GraspKind
 
-_STOPS = (0.0, 0.5, 1.0)
+_STOPS = (0.0, 0.33, 0.67, 1.0)
 """Where the jaw may stop, as shares of how far short it may stay."""
 
 _LEAST_TOUCH = 0.02

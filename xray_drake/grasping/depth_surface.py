@@ -23,7 +23,8 @@ class DepthSurface:
     Attributes:
         depth: (h, w) z-depth, m; inf where a ray without reading leaves the
             scene.
-        points_W: (h, w, 3) what the pixels show, in the world, m.
+        points_W: (h, w, 3) what the pixels show, in the world, m; the camera
+            where they show nothing.
         mask: (h, w) bool, the object's pixels.
         camera: of this part.
         whole: (H, W) z-depth of the whole image, m.
@@ -166,9 +167,10 @@ def observe(
     )
     part = crop_camera(camera, rows, columns)
     depth = whole[rows, columns].astype(float)
+    points = part.unproject(np.where(np.isfinite(depth), depth, 0.0))
     return DepthSurface(
         depth=depth,
-        points_W=part.unproject(depth),
+        points_W=points,
         mask=mask[rows, columns],
         camera=part,
         whole=whole,

@@ -75,6 +75,10 @@ class QuasiStaticConfig:
     rest_round: float = 0.3
     # After this time the search goes on even if something still moves, s.
     rest_timeout: float = 3.0
+    # While it waits for rest, wakes also those bodies of the heap that nothing
+    # has disturbed: what sleeps under load may then give way a little. It makes
+    # up most of a rollout's time.
+    settle_awake: bool = False
 
 
 class Judge(Protocol):

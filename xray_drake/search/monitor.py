@@ -79,6 +79,7 @@ class SearchMonitor:
         self._sleep = SleepMonitor(
             station.plant, station.scene_graph, station.objects.values()
         )
+        self._settle_awake = scenario.gripper.quasi_static.settle_awake
         self._decided = 0
         self._drawing = False
         self.record = SearchRecord(
@@ -130,17 +131,18 @@ class SearchMonitor:
     def _let_sleep(self, root_context: Context, status: GripperStatus) -> None:
         """Lets the heap sleep, but for what the gripper stirs.
 
-        What is drawn out wakes what it disturbs. A heap that sleeps is not yet
-        at rest: where the gripper waits for rest, all in the bin are awake.
+        What is drawn out wakes what it disturbs, and that comes to rest again.
+        All in the bin are awake after a slip, and where the scenario says so.
         """
-        drawing = status.stirring and not status.settling
+        all_awake = status.settling and (self._settle_awake or not status.held)
+        drawing = status.stirring and not all_awake
         if drawing:
             if not self._drawing:
                 self._sleep.forget()
             self._sleep(root_context, awake=status.loose)
         else:
             objects = self._diagram.station.objects.keys()
-            asleep = self._removed if status.settling else objects
+            asleep = self._removed if all_awake else objects
             self._sleep.set_asleep(root_context, asleep - set(status.loose))
         self._drawing = drawing
 
