@@ -86,7 +86,7 @@ def test_ports_are_named(gripper: YumiGripper) -> None:
     assert [
         system.get_input_port(i).get_name()
         for i in range(system.num_input_ports())
-    ] == ["action", "wrist_state", "finger_state", "cup_state"]
+    ] == ["action", "wrist_state", "finger_state", "cup_state", "at_rest"]
     assert [
         system.get_output_port(i).get_name()
         for i in range(system.num_output_ports())

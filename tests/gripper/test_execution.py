@@ -216,9 +216,7 @@ def test_the_fingers_open_in_time_and_not_too_fast(
         0.05 - 2 * np.array(descent), WIDTH + 2 * CONFIG.clearance, atol=1e-6
     )
     held = [m.finger for _, m, _, _ in script.way if m.phase is Phase.CARRY]
-    np.testing.assert_allclose(
-        2000 * (np.array(held) - 0.01), CONFIG.force, atol=1e-6
-    )
+    np.testing.assert_allclose(2000 * (np.array(held) - 0.01), 20.0, atol=1e-6)
     assert fingers[-1] == 0.0
 
 

@@ -84,7 +84,9 @@ def search(
     ] = None,
     meshes: _Meshes = None,
     scale: _Scale = None,
-    execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
+    execution: Annotated[
+        str | None, typer.Option(help="quasi_static or contact.")
+    ] = None,
     occupancy: Annotated[
         str | None, typer.Option(help="learned, posterior or exact.")
     ] = None,
@@ -193,7 +195,9 @@ def benchmark(
     target_first: Annotated[
         bool | None, typer.Option("--target-first/--no-target-first")
     ] = None,
-    execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
+    execution: Annotated[
+        str | None, typer.Option(help="quasi_static or contact.")
+    ] = None,
     weights: Annotated[
         str | None,
         typer.Option(help="File of a network's weights, or a folder of them."),

@@ -33,6 +33,7 @@ class GripperController(LeafSystem):
         - wrist_state
         - finger_state
         - cup_state
+        - at_rest
         output_ports:
         - status
         - wrist_desired_state
@@ -45,11 +46,13 @@ class GripperController(LeafSystem):
     as state of the two model instances, and the outputs are their desired
     states. ``cup_state`` (:class:`~xray_drake.gripper.suction.CupState`) comes
     from the :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
-    ``suction`` (1) goes to it.
+    ``suction`` (1) goes to it. ``at_rest`` (1) says whether the cell is at rest,
+    see :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it is
+    taken to be so soon after the gripper is home.
 
     ``status`` (:class:`~xray_drake.messages.GripperStatus`) is that of
-    :class:`~xray_drake.gripper.quasi_static.QuasiStaticGripper`, but what moves
-    is not known: after a fixed time the heap is taken to be at rest.
+    :class:`~xray_drake.gripper.quasi_static.QuasiStaticGripper`, as the gripper
+    feels it: ``held`` is the object that it meant to take, if it holds anything.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class GripperController(LeafSystem):
         *,
         gripper: YumiGripper,
         config: ExecutionConfig | None = None,
+        force: float = 20.0,
         period: float = 0.01,
         time_step: float = 0.005,
     ) -> None:
@@ -65,12 +69,13 @@ class GripperController(LeafSystem):
         Args:
             gripper: what it moves.
             config: how.
+            force: squeeze of each finger, N.
             period: of the state machine, s.
             time_step: of the plant, s: so late it is where it should be.
         """
         super().__init__()
         self.set_name("gripper_controller")
-        self._execution = GraspExecution(gripper, config)
+        self._execution = GraspExecution(gripper, config, force=force)
         self._period = period
         self._time_step = time_step
         self._action = self.DeclareAbstractInputPort(
@@ -81,6 +86,7 @@ class GripperController(LeafSystem):
         self._cup = self.DeclareAbstractInputPort(
             "cup_state", Value(CupState())
         )
+        self._at_rest = self.DeclareVectorInputPort("at_rest", 1)
         self._state = self.DeclareAbstractState(Value(self._execution.rest()))
         ticket = self.abstract_state_ticket(self._state)
         self.DeclareAbstractOutputPort(
@@ -136,6 +142,8 @@ class GripperController(LeafSystem):
             desired=desired,
             finger=float(self._fingers.Eval(context)[:2].mean()),
             cup=self._cup.Eval(context),
+            at_rest=not self._at_rest.HasValue(context)
+            or bool(self._at_rest.Eval(context)[0] > 0.5),
         )
         following = motion
         if motion.phase is Phase.IDLE:

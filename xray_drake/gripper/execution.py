@@ -44,8 +44,6 @@ class ExecutionConfig:
     transit_height: float = 0.46
     # The jaw opens so much wider than the object, to each side, m.
     clearance: float = 0.005
-    # Squeeze of each finger, N.
-    force: float = 20.0
     # Contact is felt where the wrist is pushed back with this force, N.
     contact_force: float = 3.0
     # If it is felt, the grasp is tried if this little was left to go, m.
@@ -66,8 +64,9 @@ class ExecutionConfig:
     # Time to look whether the object is held, and to let it go, s.
     check_time: float = 0.5
     release_time: float = 0.25
-    # Time for the heap to come to rest at the end, s.
-    settle_time: float = 1.0
+    # At the end it waits for the cell to be at rest, at least and at most, s.
+    settle_time: float = 0.3
+    settle_timeout: float = 3.0
     # The wrist is stuck where it lags so far behind, m.
     stuck_distance: float = 0.015
     # The whole action takes no longer than this, s.
@@ -107,6 +106,7 @@ class Senses:
         desired: (6,) positions that it should have by now.
         finger: position of the fingers, 0 open, m.
         cup: the suction cup; of it only vacuum and, to say why, ``lost``.
+        at_rest: nothing moves in the cell.
     """
 
     time: float
@@ -114,6 +114,7 @@ class Senses:
     desired: np.ndarray
     finger: float
     cup: CupState
+    at_rest: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,16 +167,22 @@ class GraspExecution:
     """
 
     def __init__(
-        self, gripper: YumiGripper, config: ExecutionConfig | None = None
+        self,
+        gripper: YumiGripper,
+        config: ExecutionConfig | None = None,
+        *,
+        force: float = 20.0,
     ) -> None:
         """Builds the machine.
 
         Args:
             gripper: limits and frames; the plant is not touched.
             config: how it moves and when it gives up.
+            force: squeeze of each finger, N; no more than it can.
         """
         self._gripper = gripper
         self._config = config or ExecutionConfig()
+        self._force = min(force, gripper.finger_force)
         wrist = gripper.wrist
         slides = np.arange(6) < 3
         limit = np.where(slides, self._config.acceleration, np.inf)
@@ -364,7 +371,7 @@ class GraspExecution:
     ) -> Motion:
         gripper = self._gripper
         step = gripper.finger_speed * elapsed
-        lead = self._config.force / gripper.finger_stiffness
+        lead = self._force / gripper.finger_stiffness
         to = min(motion.finger_target, senses.finger + lead)
         change = float(np.clip(to - motion.finger, -step, step))
         finger = motion.finger + change
@@ -420,7 +427,7 @@ class GraspExecution:
                 motion, still=senses.finger, still_since=senses.time
             )
         squeeze = motion.finger - senses.finger
-        full = 0.8 * self._config.force / self._gripper.finger_stiffness
+        full = 0.8 * self._force / self._gripper.finger_stiffness
         if senses.time - motion.still_since > 0.1 and squeeze > full:
             return self._raise(motion, senses)
         if senses.time - motion.since > self._config.close_timeout:
@@ -557,6 +564,8 @@ class GraspExecution:
         return replace(motion, phase=Phase.SETTLE, since=senses.time)
 
     def _settle(self, motion: Motion, senses: Senses) -> Motion:
-        if senses.time - motion.since < self._config.settle_time:
+        waited = senses.time - motion.since
+        rests = senses.at_rest and waited >= self._config.settle_time
+        if not rests and waited < self._config.settle_timeout:
             return motion
         return replace(motion, phase=Phase.IDLE, since=senses.time)

@@ -53,6 +53,13 @@ class YumiGripper:
     finger_force: float
     finger_stiffness: float
 
+    def bodies(self, plant: MultibodyPlant) -> list[RigidBody]:
+        """Returns the bodies that can touch something: base and fingers."""
+        return [
+            plant.get_body(index)
+            for index in plant.GetBodyIndices(self.finger_instance)
+        ]
+
 
 def add_gripper(
     plant: MultibodyPlant, *, home: np.ndarray = HOME

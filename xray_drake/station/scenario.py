@@ -20,7 +20,9 @@ from pydrake.visualization import VisualizationConfig
 
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
+from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
+from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
 from xray_drake.occupancy.learned import default_weights
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
@@ -53,7 +55,7 @@ POLICIES = (
     "combined",
 )
 GRASPS = ("models",)
-EXECUTIONS = ("quasi_static",)
+EXECUTIONS = ("quasi_static", "contact")
 
 
 MOST_OBJECTS = 100
@@ -153,7 +155,8 @@ class GripperConfig:
 
     # How grasps are planned: "models".
     grasps: str = "models"
-    # How grasps are executed: "quasi_static".
+    # How grasps are executed: "quasi_static", where an ideal gripper lifts what
+    # the analysis says would hold; or "contact", with fingers and suction cup.
     execution: str = "quasi_static"
     # What the gripper can do.
     parameters: GripperParameters = field(default_factory=GripperParameters)
@@ -161,6 +164,10 @@ class GripperConfig:
     planner: GraspPlannerConfig = field(default_factory=GraspPlannerConfig)
     # How "quasi_static" perturbs, judges and moves.
     quasi_static: QuasiStaticConfig = field(default_factory=QuasiStaticConfig)
+    # How "contact" moves, and when it gives up.
+    contact: ExecutionConfig = field(default_factory=ExecutionConfig)
+    # The suction cup of "contact".
+    suction: SuctionConfig = field(default_factory=SuctionConfig)
 
 
 def nominal_camera() -> CameraConfig:
@@ -393,6 +400,8 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
     _check_weights(scenario.perception, source)
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
+    if scenario.gripper.execution == "contact":
+        _check_contact(scenario, source)
     if scenario.seed < 0:
         raise ScenarioError(
             f"{source}: seed is {scenario.seed}: it must not be negative"
@@ -416,6 +425,13 @@ _MUST_BE_POSITIVE = (
     "perception.depth_segmenter.arm",
     "gripper.quasi_static.approach_time",
     "gripper.quasi_static.speed",
+    "gripper.contact.speed",
+    "gripper.contact.acceleration",
+    "gripper.contact.lift_speed",
+    "gripper.contact.approach_speed",
+    "gripper.contact.touch_speed",
+    "gripper.contact.give_up",
+    "gripper.suction.evacuation_time",
     "plant_config.time_step",
     "gripper.parameters.opening",
     "visualization.publish_period",
@@ -505,6 +521,28 @@ def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
     except RuntimeError as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: plant_config: {message}") from error
+
+
+def _check_contact(scenario: Scenario, source: str) -> None:
+    """Checks what the gripper in the plant needs of it."""
+    config = scenario.plant_config
+    for key, value, wanted in (
+        (
+            "contact_model",
+            config.contact_model,
+            ("hydroelastic", "hydroelastic_with_fallback"),
+        ),
+        (
+            "discrete_contact_approximation",
+            config.discrete_contact_approximation,
+            ("lagged", "similar", "sap"),
+        ),
+    ):
+        if value not in wanted:
+            raise ScenarioError(
+                f"{source}: gripper.execution is contact, but plant_config."
+                f"{key} is {value!r}: choose one of {', '.join(wanted)}"
+            )
 
 
 def _check_keys(tree: dict, schema: type, source: str, prefix: str) -> None:
