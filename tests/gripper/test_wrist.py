@@ -49,5 +49,5 @@ def test_jaw_down_and_cup_down_are_alike_in_reach() -> None:
 def test_out_of_reach_says_which_way() -> None:
     X_WT = np.eye(4)
     X_WT[:3, 3] = 2.0, 0.0, -0.1
-    with pytest.raises(ReachError, match="reach: x, z$"):
+    with pytest.raises(ReachError, match=r"reach: x, z$"):
         WRIST.joints(X_WT, near=np.zeros(6))

@@ -259,7 +259,7 @@ def test_pads_are_where_and_as_large_as_planning_has_them(alone: Cell) -> None:
             for geometry in alone.plant.GetCollisionGeometriesForBody(body)
         }
         pad = inspector.GetShape(shapes[PAD])
-        width, thickness, height = pad.size()
+        width, _, height = pad.size()
         assert (width, height) == (parameters.pad_width, parameters.pad_height)
         front = [
             side * inspector.GetPoseInFrame(shapes[kind]).translation()[1]

@@ -46,13 +46,13 @@ class GripperController(LeafSystem):
     as state of the two model instances, and the outputs are their desired
     states. ``cup_state`` (:class:`~xray_drake.gripper.suction.CupState`) comes
     from the :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
-    ``suction`` (1) goes to it. ``at_rest`` (1) says whether the cell is at rest,
-    see :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it is
-    taken to be so soon after the gripper is home.
+    ``suction`` (1) goes to it. ``at_rest`` (1) says whether the cell is at
+    rest, see :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it
+    is taken to be so soon after the gripper is home.
 
     ``status`` (:class:`~xray_drake.messages.GripperStatus`) is that of
     :class:`~xray_drake.gripper.quasi_static.QuasiStaticGripper`, as the gripper
-    feels it: ``held`` is the object that it meant to take, if it holds anything.
+    feels it: ``held`` is what it meant to take, if it holds anything.
     """
 
     def __init__(

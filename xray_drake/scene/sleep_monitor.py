@@ -84,8 +84,10 @@ class SleepMonitor:
     under load gives way when it wakes. Wake all, and look whether they move,
     before relying on it (:func:`xray_drake.scene.heap.drop_heap` does).
 
-    Movers are bodies of another kind, a gripper's: they never sleep, and what is
-    near them does not sleep either, nor do its neighbours and what lies on them.
+    Movers are bodies of another kind, a gripper's: they never sleep, and what
+    is near them, or near what is drawn of them (a suction cup's lip is soft and
+    does not collide), does not sleep either, nor do its neighbours and what
+    lies on those.
 
     Give it to ``Simulator.set_monitor``, see :func:`attach_sleep`, or call it
     from another monitor with the root context after each step. Who sleeps is
@@ -109,11 +111,12 @@ class SleepMonitor:
             plant: finalized.
             scene_graph: of the plant.
             objects: bodies that can sleep.
-            movers: bodies with collision geometry that wake what is near.
+            movers: bodies that wake what is near.
             config: when they do.
 
         Raises:
-            ValueError: no objects, or the world body has collision geometry.
+            ValueError: no objects, the world body has collision geometry, or a
+                mover's is not bounded.
         """
         self._plant = plant
         self._items = list(objects)
@@ -375,11 +378,18 @@ class SleepMonitor:
 def _hulls(
     plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody
 ) -> list[np.ndarray]:
-    """Returns (8, 3) corners, in the body's frame, of each geometry's box."""
+    """Returns (8, 3) corners, in the body's frame, of each geometry's box.
+
+    Raises:
+        ValueError: a geometry that is not bounded.
+    """
     inspector = scene_graph.model_inspector()
     signs = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
     hulls = []
-    for geometry in plant.GetCollisionGeometriesForBody(body):
+    for geometry in (
+        *plant.GetCollisionGeometriesForBody(body),
+        *plant.GetVisualGeometriesForBody(body),
+    ):
         box = inspector.GetObbInGeometryFrame(geometry)
         if box is None:
             raise ValueError(

@@ -60,12 +60,12 @@ def build_search_diagram(
     Every box is a named system: ``heap_station``, ``target_detector``,
     ``instance_segmenter``, ``occupancy_inference``, ``search_policy``,
     ``gripper_controller``. With noise, ``depth_sensor`` stands between the
-    camera and all who read depth. With execution by contact, ``suction_cup`` and
-    ``rest_sensor`` stand between the station and the gripper. Policies that need them add
-    ``search_memory`` between it and the inference, or ``true_target``. The
-    outputs of all are exported as ``box.port``, and so are the station's images
-    and its ground truth (``cheat.…``). In the default context the heap is at
-    rest and nothing has been decided.
+    camera and all who read depth. With execution by contact, ``suction_cup``
+    and ``rest_sensor`` stand between the station and the gripper. Policies that
+    need them add ``search_memory`` between it and the inference, or
+    ``true_target``. The outputs of all are exported as ``box.port``, and so
+    are the station's images and its ground truth (``cheat.…``). In the default
+    context the heap is at rest and nothing has been decided.
 
     Args:
         scenario: what to build.

@@ -120,7 +120,7 @@ class SearchRecord:
 
     @property
     def success(self) -> bool:
-        """The target was lifted clear of the bin, and by contact brought away."""
+        """The target was lifted clear of the bin; by contact, to the tote."""
         return self.end == "success"
 
     @property
