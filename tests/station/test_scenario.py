@@ -195,6 +195,17 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
         ("perception: {occupancy: eye}", ["perception.occupancy", "exact"]),
         ("gripper: {grasps: eye}", ["gripper.grasps", "models"]),
         ("gripper: {execution: eye}", ["gripper.execution", "quasi_static"]),
+        ("gripper: {execution: eye}", ["gripper.execution", "contact"]),
+        (
+            "{gripper: {execution: contact}, plant_config: "
+            "{contact_model: point}}",
+            ["execution is contact", "contact_model is 'point'"],
+        ),
+        (
+            "{gripper: {execution: contact}, plant_config: "
+            "{discrete_contact_approximation: tamsi}}",
+            ["execution is contact", "discrete_contact_approximation"],
+        ),
         ("plant_config: {contact_model: soft}", ["contact_model", "'soft'"]),
     ],
 )
@@ -230,6 +241,10 @@ def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
         pytest.param(
             "gripper: {quasi_static: {approach_time: 0}}",
             ["gripper.quasi_static.approach_time"],
+        ),
+        pytest.param(
+            "gripper: {contact: {touch_speed: 0}}",
+            ["gripper.contact.touch_speed"],
         ),
         pytest.param(
             "perception: {depth_segmenter: {arm: 0}}",
