@@ -116,7 +116,7 @@ class SleepMonitor:
 
         Raises:
             ValueError: no objects, the world body has collision geometry, or a
-                mover's is not bounded.
+                mover has none or one that is not bounded.
         """
         self._plant = plant
         self._items = list(objects)
@@ -143,9 +143,7 @@ class SleepMonitor:
         self._owner = np.array([index for index, _ in pieces])
         self._point_owner = np.repeat(self._owner, sizes)
         self._movers = [
-            (body, hull)
-            for body in movers
-            for hull in _hulls(plant, scene_graph, body)
+            (body, _hulls(plant, scene_graph, body)) for body in movers
         ]
         self._last: _Look | None = None
         self._anchor = _Look(0.0, *[np.empty(0)] * 3)
@@ -262,17 +260,18 @@ class SleepMonitor:
         """Says what movers may be near until the next look, (n,) bool."""
         met = np.zeros(len(self._items), dtype=bool)
         config = self._config
-        for body, hull in self._movers:
+        for body, hulls in self._movers:
             X_WB = self._plant.EvalBodyPoseInWorld(context, body)
             V_WB = self._plant.EvalBodySpatialVelocityInWorld(context, body)
-            arms = hull @ X_WB.rotation().matrix().T
+            arms = hulls @ X_WB.rotation().matrix().T
             v = V_WB.translational() + np.cross(V_WB.rotational(), arms)
             here = arms + X_WB.translation()
-            way = np.concatenate([here, here + config.look_period * v])
+            way = np.concatenate([here, here + config.look_period * v], axis=1)
             along = way @ _AXES.T
-            low = along.min(axis=0) - config.reach
-            high = along.max(axis=0) + config.reach
-            pieces = ((low <= look.high) & (high >= look.low)).all(axis=-1)
+            low = along.min(axis=1, keepdims=True) - config.reach
+            high = along.max(axis=1, keepdims=True) + config.reach
+            meet = (low <= look.high) & (high >= look.low)
+            pieces = meet.all(axis=-1).any(axis=0)
             met[self._owner[pieces]] = True
         return met
 
@@ -377,11 +376,11 @@ class SleepMonitor:
 
 def _hulls(
     plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody
-) -> list[np.ndarray]:
-    """Returns (8, 3) corners, in the body's frame, of each geometry's box.
+) -> np.ndarray:
+    """Returns (n, 8, 3) corners, in the body's frame, of its geometries' boxes.
 
     Raises:
-        ValueError: a geometry that is not bounded.
+        ValueError: a geometry that is not bounded, or a body without any.
     """
     inspector = scene_graph.model_inspector()
     signs = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
@@ -398,7 +397,9 @@ def _hulls(
         X_BG = inspector.GetPoseInFrame(geometry) @ box.pose()
         corners = (2 * signs - 1) * box.half_width()
         hulls.append(corners @ X_BG.rotation().matrix().T + X_BG.translation())
-    return hulls
+    if not hulls:
+        raise ValueError(f"a mover must have geometry: {body.name()} has none")
+    return np.array(hulls)
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
