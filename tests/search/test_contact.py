@@ -214,4 +214,5 @@ def test_the_camera_does_not_see_the_gripper_at_home(
         .data
         for d in (diagram, tiny_diagram)
     ]
-    np.testing.assert_array_equal(*depths)
+    # Rendered among other triangles, a pixel may differ by a last digit.
+    np.testing.assert_allclose(*depths, atol=1e-6)
