@@ -159,6 +159,17 @@ def test_what_is_dropped_over_the_bin_is_still_there(
     assert inside_bin(watcher.poses[-1]["book"][:3, 3])
 
 
+def test_what_was_meant_may_be_unknown() -> None:
+    assert judge_outcome(Outcome.FAILED, "felt", "", {"pad"}) == (
+        Outcome.LIFTED,
+        "",
+    )
+    assert judge_outcome(Outcome.FAILED, "felt", "", set()) == (
+        Outcome.FAILED,
+        "felt",
+    )
+
+
 @pytest.mark.parametrize(
     ("felt", "brought", "outcome", "said"),
     [

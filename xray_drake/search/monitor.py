@@ -300,10 +300,10 @@ def judge_outcome(
     Args:
         felt: as far as the gripper knows.
         reason: of a failure, as far as the gripper knows.
-        meant: name of the object that it was to take.
+        meant: name of the object that it was to take, empty if none is known.
         brought: names of what has reached the tote.
     """
-    if meant in brought:
+    if meant in brought or (brought and not meant):
         return Outcome.LIFTED, ""
     if brought:
         names = ", ".join(sorted(brought))
