@@ -49,7 +49,8 @@ class InstanceMasks(Message):
         labels: (H, W) int32; −1 for the background, else an index into
             ``names``.
         names: what each label is called. Ground truth gives the object's name
-            in the plant, other segmenters ``instance_0``, ``instance_1``, ….
+            in the plant, other segmenters ``segment_0``, ``segment_1``, …,
+            names that mean nothing in the next image.
     """
 
     labels: np.ndarray = field(

@@ -89,7 +89,7 @@ def test_options_reach_the_rollouts(
         *("--out", tmp_path / "a", "--scenario", "table2"),
         *("--policies", "random,xray", "--occupancy", "posterior, exact"),
         *("--target", "lid", "--num-objects", 7, "--horizon", 4),
-        *("--execution", "quasi_static", "--detector", "ground_truth"),
+        *("--execution", "contact", "--detector", "ground_truth"),
         *("--segmenter", "ground_truth", "--grasps", "models"),
         *("--no-target-first", "--seed", 20, "--heaps", 3, "--workers", 5),
     )
@@ -98,6 +98,7 @@ def test_options_reach_the_rollouts(
     assert (scenario.name, scenario.horizon) == ("table2", 4)
     assert scenario.scene.target == "lid"
     assert scenario.scene.num_objects == 7
+    assert scenario.gripper.execution == "contact"
     # What blind policies are recorded with.
     assert scenario.perception.occupancy == "posterior"
     assert asked["variants"] == (

@@ -33,6 +33,8 @@ ACTION_KEYS = {
     "is_target",
     "grasp",
     "outcome",
+    "lifted",
+    "duration",
     "score",
     "support_before",
     "support_after",
@@ -221,6 +223,22 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         "a.json",
         "small.yaml",
     ]
+
+
+def test_execution_by_contact(small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    code, _, err = search(
+        *("--scenario", small, "--execution", "contact", "--json", path),
+        *("--num-objects", 1, "--horizon", 1),
+    )
+    assert (code, err) == (0, "")
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert record["execution"] == "contact"
+    (action,) = record["actions"]
+    assert set(action) >= ACTION_KEYS
+    assert action["outcome"] in OUTCOMES
+    assert (action["lifted"] == []) == (action["outcome"] != "lifted")
+    assert 1.0 < action["duration"] < 30.0
 
 
 def test_a_full_disk_is_one_line(small: Path, tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from xray_drake.dataset.augmentation import (
     flip,
     resize_mask,
     rotate,
-    unlit,
 )
 from xray_drake.dataset.images import LabelledImages
 from xray_drake.dataset.sample import Sample
@@ -126,82 +125,6 @@ def test_what_is_missing_stays_missing(images: LabelledImages) -> None:
     noisy = DepthNoise()(replace(images, depth=holes), np.random.default_rng(0))
     assert not noisy.depth[holes == 0].any()
     _assert_same(replace(noisy, depth=images.depth), images)
-
-
-def test_noise_grows_with_the_square_of_depth() -> None:
-    noise = DepthNoise(
-        inverse_depth_step=0, baseline=0, blobs=0, speckle=0, sigma=0.001
-    )
-    spread = []
-    for depth in (0.5, 1.0):
-        images = replace(
-            _coordinates(100, 100), depth=np.full((100, 100), depth, "f4")
-        )
-        noisy = noise(images, np.random.default_rng(1)).depth
-        assert noisy.mean() == pytest.approx(depth, abs=1e-4)
-        spread.append(noisy.std())
-    assert spread[1] == pytest.approx(4 * spread[0], rel=0.05)
-    assert 0 < spread[1] < 0.001
-
-
-def test_depth_comes_in_steps() -> None:
-    noise = DepthNoise(sigma=0.001, inverse_depth_step=0.01)
-    images = replace(
-        _coordinates(100, 100), depth=np.full((100, 100), 0.8, "f4")
-    )
-    noisy = noise(images, np.random.default_rng(1)).depth
-    steps = 1 / noisy[noisy > 0] / 0.01
-    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-4)
-
-
-def test_edges_and_blobs_have_no_reading(images: LabelledImages) -> None:
-    # Too steep are the pixels beside a step, nothing else.
-    edges = DepthNoise(baseline=0, blobs=0, speckle=0)
-    lost = edges(images, np.random.default_rng(2)).depth == 0
-    lost &= images.depth > 0
-    v, u = np.nonzero(lost)
-    assert 0 < len(v) < 0.2 * lost.size
-    depth = np.pad(images.depth, 1, mode="edge")
-    for row, column in zip(v, u, strict=True):
-        assert np.ptp(depth[row : row + 3, column : column + 3]) > 0.01
-    blobs = DepthNoise(baseline=0, speckle=0, blobs=30, max_incidence=1.57)
-    lost = blobs(images, np.random.default_rng(2)).depth == 0
-    assert 0.002 < lost.mean() < 0.5
-
-
-def test_a_projector_leaves_shadows_beside_what_is_near() -> None:
-    depth = np.full((4, 40), 0.8)
-    depth[:, 15:20] = 0.4
-    f, b = 100.0, 0.04  # disparities 5 and 10
-    shadow = unlit(depth, f, b)
-    assert shadow[0].nonzero()[0].tolist() == [10, 11, 12, 13, 14]
-    # On the other side for a projector on the other side.
-    shadow = unlit(depth, f, -b)
-    assert shadow[0].nonzero()[0].tolist() == [20, 21, 22, 23, 24]
-    assert not unlit(depth, f, 0.0).any()
-    depth[:, 15:20] = 0.0
-    assert not unlit(depth, f, b).any()
-
-
-@given(
-    row=st.lists(
-        st.sampled_from([0.0, 0.4, 0.45, 0.5, 0.8, 0.81]),
-        min_size=2,
-        max_size=40,
-    ),
-    baseline=st.sampled_from([-0.07, 0.03, 0.11]),
-)
-def test_shadows_as_ray_by_ray(row: list[float], baseline: float) -> None:
-    depth = np.array([row])
-    found = unlit(depth, 60.0, baseline)[0]
-    for u, z in enumerate(row):
-        at = u - 60.0 * baseline / z if z else 0
-        crossed = z > 0 and any(
-            (other - 60.0 * baseline / y - at) * (other - u) <= 0
-            for other, y in enumerate(row)
-            if y > 0 and other != u and (other - u) * baseline > 0
-        )
-        assert found[u] == crossed
 
 
 def test_masks_grow_and_shrink(images: LabelledImages) -> None:

@@ -2,6 +2,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -376,3 +377,34 @@ def test_nobody_to_watch() -> None:
     cubes = Cubes(cube=(0.0, 0.0, HALF))
     with pytest.raises(ValueError, match="no body"):
         SleepMonitor(cubes.plant, cubes.scene_graph, [])
+
+
+def near_a_mover(gap: float, **push: float) -> bool:
+    """Says whether a cube wakes so far from another that is a mover, m."""
+    cubes = Cubes(c=(0.0, 0.0, HALF), m=(0.15, 0.0, HALF))
+    mover = cubes.items.pop("m")
+    monitor = SleepMonitor(
+        cubes.plant,
+        cubes.scene_graph,
+        cubes.items.values(),
+        movers=[mover.body],
+    )
+    cubes.simulator.set_monitor(monitor)
+    cubes.advance(0.5)
+    assert cubes.locked() == {"c"}
+    assert not mover.joint.is_locked(cubes.context)
+    X_WM = RigidTransform([2 * HALF + gap, 0.0, HALF])
+    mover.joint.SetPose(cubes.context, X_WM)
+    speed = np.array([push.get("speed", 0.0), 0.0, 0.0])
+    mover.joint.set_translational_velocity(cubes.context, speed)
+    cubes.advance(LOOK)
+    return not cubes.locked()
+
+
+def test_a_mover_wakes_what_it_comes_near() -> None:
+    # Drake bounds a cube by a box that is up to its width too wide.
+    far = 2.5 * HALF
+    assert near_a_mover(0.5 * SleepConfig().reach)
+    assert not near_a_mover(far)
+    # What it is about to reach before the next look, too.
+    assert near_a_mover(far, speed=-far / LOOK)

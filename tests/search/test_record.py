@@ -24,7 +24,7 @@ GRASP_KEYS = {"kind", "X_WG", "width", "quality"}
 """As DESIGN.md has them."""
 
 OUR_RECORD_KEYS = {"start", "target_first"}
-OUR_ACTION_KEYS = {"reason", "true_mask_in_support"}
+OUR_ACTION_KEYS = {"reason", "true_mask_in_support", "lifted", "duration"}
 """Beyond those; documented in the classes."""
 
 

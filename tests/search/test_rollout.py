@@ -193,13 +193,18 @@ class Sleepers:
         seen: status and names of the sleepers.
     """
 
-    def __init__(self, diagram: SearchDiagram, limit: float = 60.0) -> None:
+    def __init__(
+        self,
+        diagram: SearchDiagram,
+        limit: float = 60.0,
+        observers: tuple[Watcher, ...] = (),
+    ) -> None:
         self.seen: list[tuple[GripperStatus, set[str]]] = []
         self._diagram = diagram
         self._items = diagram.station.objects.values()
         self._status = diagram.GetOutputPort("gripper_controller.status")
         simulator = Simulator(diagram)
-        self._monitor = attach_monitor(simulator, diagram)
+        self._monitor = attach_monitor(simulator, diagram, observers=observers)
         simulator.set_monitor(self._watch)
         simulator.AdvanceTo(limit)
 

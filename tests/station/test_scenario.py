@@ -84,7 +84,13 @@ def test_settings_deep_inside() -> None:
         """
         scene: {heap: {offset_sigma: 0.03, max_attempts: 2}}
         camera: {width: 320, X_PB: {translation: [0, 0, 0.9]}}
-        perception: {exact: {rotations: 16}}
+        perception:
+          exact: {rotations: 16}
+          detector: hsv
+          noise: true
+          hsv: {hue_tolerance: 20}
+          depth_segmenter: {join: 0.003}
+          depth_noise: {sigma: 0.001}
         gripper: {quasi_static: {perturbation: {position_sigma: 0}}}
         plant_config: {time_step: 0.004}
         """,
@@ -95,6 +101,14 @@ def test_settings_deep_inside() -> None:
     assert scenario.camera.width == 320
     assert scenario.camera.height == 384
     assert scenario.perception.exact.rotations == 16
+    assert (scenario.perception.detector, scenario.perception.noise) == (
+        "hsv",
+        True,
+    )
+    assert scenario.perception.hsv.hue_tolerance == 20
+    assert scenario.perception.depth_segmenter.join == 0.003
+    assert scenario.perception.depth_noise.sigma == 0.001
+    assert scenario.perception.depth_noise.speckle == 0.003
     assert scenario.gripper.quasi_static.perturbation.position_sigma == 0
     assert scenario.plant_config.time_step == 0.004
     assert scenario.plant_config.stiction_tolerance == 1e-4
@@ -173,11 +187,25 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
     [
         ("scene: {target: spoon}", ["scene.target", "'spoon'", *TARGET_NAMES]),
         ("policy: {name: greedy}", ["policy.name", "xray, largest, random"]),
-        ("perception: {detector: eye}", ["perception.detector", "'eye'"]),
-        ("perception: {segmenter: eye}", ["perception.segmenter"]),
+        (
+            "perception: {detector: eye}",
+            ["perception.detector", "'eye'", "hsv"],
+        ),
+        ("perception: {segmenter: eye}", ["perception.segmenter", "depth"]),
         ("perception: {occupancy: eye}", ["perception.occupancy", "exact"]),
         ("gripper: {grasps: eye}", ["gripper.grasps", "models"]),
         ("gripper: {execution: eye}", ["gripper.execution", "quasi_static"]),
+        ("gripper: {execution: eye}", ["gripper.execution", "contact"]),
+        (
+            "{gripper: {execution: contact}, plant_config: "
+            "{contact_model: point}}",
+            ["execution is contact", "contact_model is 'point'"],
+        ),
+        (
+            "{gripper: {execution: contact}, plant_config: "
+            "{discrete_contact_approximation: tamsi}}",
+            ["execution is contact", "discrete_contact_approximation"],
+        ),
         ("plant_config: {contact_model: soft}", ["contact_model", "'soft'"]),
     ],
 )
@@ -213,6 +241,14 @@ def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
         pytest.param(
             "gripper: {quasi_static: {approach_time: 0}}",
             ["gripper.quasi_static.approach_time"],
+        ),
+        pytest.param(
+            "gripper: {contact: {touch_speed: 0}}",
+            ["gripper.contact.touch_speed"],
+        ),
+        pytest.param(
+            "perception: {depth_segmenter: {arm: 0}}",
+            ["perception.depth_segmenter.arm"],
         ),
         pytest.param(
             "scene: {heap: {max_attempts: 0}}",
@@ -256,6 +292,12 @@ def test_a_value_of_the_wrong_kind(text: str, said: list[str]) -> None:
     message = complaint(text)
     for part in said:
         assert part in message.removeprefix(SOURCE)
+
+
+def test_segments_have_no_models() -> None:
+    message = complaint("perception: {segmenter: depth}")
+    assert "perception.segmenter is depth" in message
+    assert "gripper.grasps is models" in message
 
 
 @pytest.mark.parametrize("name", ["nope", "", "/"])

@@ -80,3 +80,5 @@ def test_a_heap_is_looked_at(tiny_scenario: Scenario, tiny_heap: Heap) -> None:
     )
     view = look_at_heap(tiny_scenario, bare)
     assert view.visible_fraction > 0.97
+    tiny_scenario.gripper.execution = "contact"
+    assert look_at_heap(tiny_scenario, bare) == view

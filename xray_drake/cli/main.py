@@ -84,7 +84,9 @@ def search(
     ] = None,
     meshes: _Meshes = None,
     scale: _Scale = None,
-    execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
+    execution: Annotated[
+        str | None, typer.Option(help="quasi_static or contact.")
+    ] = None,
     occupancy: Annotated[
         str | None, typer.Option(help="learned, posterior or exact.")
     ] = None,
@@ -92,8 +94,12 @@ def search(
         str | None,
         typer.Option(help="File of a network's weights, or a folder of them."),
     ] = None,
-    detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
-    segmenter: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="ground_truth or hsv.")
+    ] = None,
+    segmenter: Annotated[
+        str | None, typer.Option(help="ground_truth or depth.")
+    ] = None,
     grasps: Annotated[str | None, typer.Option(help="models.")] = None,
     target_first: Annotated[
         bool | None,
@@ -189,13 +195,19 @@ def benchmark(
     target_first: Annotated[
         bool | None, typer.Option("--target-first/--no-target-first")
     ] = None,
-    execution: Annotated[str | None, typer.Option(help="quasi_static.")] = None,
+    execution: Annotated[
+        str | None, typer.Option(help="quasi_static or contact.")
+    ] = None,
     weights: Annotated[
         str | None,
         typer.Option(help="File of a network's weights, or a folder of them."),
     ] = None,
-    detector: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
-    segmenter: Annotated[str | None, typer.Option(help="ground_truth.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="ground_truth or hsv.")
+    ] = None,
+    segmenter: Annotated[
+        str | None, typer.Option(help="ground_truth or depth.")
+    ] = None,
     grasps: Annotated[str | None, typer.Option(help="models.")] = None,
     resume: Annotated[
         bool,

@@ -44,7 +44,9 @@ LIFT_CLEARANCE = 0.05
 """An object is lifted clear of the bin when it is this far over the walls, m
 (PROTOCOL.md)."""
 
-_TOTE_SLOTS = tuple((x, y) for y in (0.1, 0.0, -0.1) for x in (-0.1, 0.0, 0.1))
+TOTE_SLOTS = tuple((x, y) for y in (0.1, 0.0, -0.1) for x in (-0.1, 0.0, 0.1))
+"""Where in the tote one object after the other goes, from its centre, m."""
+
 _HOME = np.array(
     [[1.0, 0, 0, 0.0], [0, -1.0, 0, 0.32], [0, 0, -1.0, 0.34], [0, 0, 0, 1]]
 )
@@ -402,7 +404,7 @@ class QuasiStaticGripper(LeafSystem):
             motion = self._watch(motion, others, time)
             if not self._is_quiet(motion, time):
                 return motion
-            x, y = _TOTE_SLOTS[motion.carried % len(_TOTE_SLOTS)]
+            x, y = TOTE_SLOTS[motion.carried % len(TOTE_SLOTS)]
             to = np.array(motion.segment.end[:3, 3])
             to[:2] = np.array(TOTE_POSITION[:2]) + [x, y]
             return self._carry(motion, _Phase.CARRY, to, time)

@@ -16,6 +16,10 @@ from xray_drake.search.record import ActionRecord
 
 ROOT = "/search"
 
+_WAY_TO_HEAP = 2.0
+"""Time from a decision until the gripper has come down to the heap by contact,
+about, s."""
+
 
 class SearchDrawing:
     """An observer that draws each decision over the heap.
@@ -72,8 +76,13 @@ class SearchDrawing:
             self._step, "visible", True, time_in_recording=time
         )
         if self._recording:
-            motions = diagram.scenario.gripper.quasi_static
-            self._hide(time + motions.approach_time)
+            motions = diagram.scenario.gripper
+            by_contact = motions.execution == "contact"
+            self._hide(
+                time + _WAY_TO_HEAP
+                if by_contact
+                else time + motions.quasi_static.approach_time
+            )
 
     def ended(
         self, diagram: SearchDiagram, context: Context, record: ActionRecord

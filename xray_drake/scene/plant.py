@@ -55,6 +55,9 @@ TOTE_POSITION = (0.62, 0.0, 0.0)
 """Centre of the tote's inside floor in the world, m: beside the bin and out
 of the overhead camera's view."""
 
+TOTE_SIZE = (0.36, 0.36, 0.12)
+"""Inside of the tote, m: along x and y, and the height of its walls."""
+
 
 @dataclass(frozen=True)
 class PlantObject:
@@ -126,6 +129,15 @@ def inside_bin(p_W: np.ndarray) -> bool:
         BIN_FLOOR_X[0] < p_W[0] < BIN_FLOOR_X[1]
         and BIN_FLOOR_Y[0] < p_W[1] < BIN_FLOOR_Y[1]
         and p_W[2] > -0.01
+    )
+
+
+def inside_tote(p_W: np.ndarray) -> bool:
+    """Says whether a body whose origin is at ``p_W`` (3,) is in the tote."""
+    from_centre = np.abs(np.asarray(p_W) - TOTE_POSITION)
+    return bool(
+        (from_centre[:2] < np.array(TOTE_SIZE[:2]) / 2).all()
+        and -0.01 < p_W[2] < TOTE_SIZE[2]
     )
 
 

@@ -40,6 +40,10 @@ class RestTest(Message):
     reference: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     at_rest: bool = False
 
+    def is_due(self, time: float) -> bool:
+        """Says whether the round is over at ``time`` (s)."""
+        return time - self.since >= self.round_time - 1e-9
+
     def update(self, time: float, points: np.ndarray) -> "RestTest":
         """Returns the test after a look.
 
@@ -49,7 +53,7 @@ class RestTest(Message):
                 number of points begins a new round.
         """
         if len(points) == len(self.reference):
-            if time - self.since < self.round_time - 1e-9:
+            if not self.is_due(time):
                 return self
             moved = np.linalg.norm(points - self.reference, axis=-1)
             at_rest = bool(moved.max(initial=0.0) <= self.motion)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 from scipy.spatial.transform import Rotation
@@ -52,6 +53,8 @@ class SleepConfig:
     # Neighbours are bodies whose pieces, within 26 planes each, are nearer than
     # this, m.
     margin: float = 0.001
+    # What a mover is about to come nearer to than this stays awake, m.
+    reach: float = 0.004
 
 
 class _Look(NamedTuple):
@@ -81,6 +84,11 @@ class SleepMonitor:
     under load gives way when it wakes. Wake all, and look whether they move,
     before relying on it (:func:`xray_drake.scene.heap.drop_heap` does).
 
+    Movers are bodies of another kind, a gripper's: they never sleep, and what
+    is near them, or near what is drawn of them (a suction cup's lip is soft and
+    does not collide), does not sleep either, nor do its neighbours and what
+    lies on those.
+
     Give it to ``Simulator.set_monitor``, see :func:`attach_sleep`, or call it
     from another monitor with the root context after each step. Who sleeps is
     part of the context, but how long bodies have been still is remembered
@@ -94,6 +102,7 @@ class SleepMonitor:
         scene_graph: SceneGraph,
         objects: Iterable[PlantObject],
         *,
+        movers: Iterable[RigidBody] = (),
         config: SleepConfig | None = None,
     ) -> None:
         """Builds the monitor.
@@ -102,10 +111,12 @@ class SleepMonitor:
             plant: finalized.
             scene_graph: of the plant.
             objects: bodies that can sleep.
+            movers: bodies that wake what is near.
             config: when they do.
 
         Raises:
-            ValueError: no objects, or the world body has collision geometry.
+            ValueError: no objects, the world body has collision geometry, or a
+                mover has none or one that is not bounded.
         """
         self._plant = plant
         self._items = list(objects)
@@ -131,6 +142,9 @@ class SleepMonitor:
         self._starts = np.cumsum([0, *sizes[:-1]])
         self._owner = np.array([index for index, _ in pieces])
         self._point_owner = np.repeat(self._owner, sizes)
+        self._movers = [
+            (body, _hulls(plant, scene_graph, body)) for body in movers
+        ]
         self._last: _Look | None = None
         self._anchor = _Look(0.0, *[np.empty(0)] * 3)
         self._still = np.empty(0)
@@ -185,9 +199,9 @@ class SleepMonitor:
             KeyError: an object that the monitor does not know.
         """
         config = self._config
-        pulled = self._mask(self._known(awake))
         context = self._plant.GetMyContextFromRoot(root)
         look, anchor = self._see(context, root.get_time()), self._anchor
+        pulled = self._mask(self._known(awake)) | self._met(context, look)
         if self._last is None or look.time < self._last.time:
             anchor = look
             self._still = look.corners.copy()
@@ -241,6 +255,25 @@ class SleepMonitor:
             np.minimum.reduceat(along, self._starts),
             np.maximum.reduceat(along, self._starts),
         )
+
+    def _met(self, context: Context, look: _Look) -> np.ndarray:
+        """Says what movers may be near until the next look, (n,) bool."""
+        met = np.zeros(len(self._items), dtype=bool)
+        config = self._config
+        for body, hulls in self._movers:
+            X_WB = self._plant.EvalBodyPoseInWorld(context, body)
+            V_WB = self._plant.EvalBodySpatialVelocityInWorld(context, body)
+            arms = hulls @ X_WB.rotation().matrix().T
+            v = V_WB.translational() + np.cross(V_WB.rotational(), arms)
+            here = arms + X_WB.translation()
+            way = np.concatenate([here, here + config.look_period * v], axis=1)
+            along = way @ _AXES.T
+            low = along.min(axis=1, keepdims=True) - config.reach
+            high = along.max(axis=1, keepdims=True) + config.reach
+            meet = (low <= look.high) & (high >= look.low)
+            pieces = meet.all(axis=-1).any(axis=0)
+            met[self._owner[pieces]] = True
+        return met
 
     def _renewed(
         self, anchor: _Look, look: _Look, drifted: np.ndarray
@@ -339,6 +372,34 @@ class SleepMonitor:
             owners = self._owner[pairs.any(axis=0)]
             near[owners[owners != index]] = True
         return near
+
+
+def _hulls(
+    plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody
+) -> np.ndarray:
+    """Returns (n, 8, 3) corners, in the body's frame, of its geometries' boxes.
+
+    Raises:
+        ValueError: a geometry that is not bounded, or a body without any.
+    """
+    inspector = scene_graph.model_inspector()
+    signs = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
+    hulls = []
+    for geometry in (
+        *plant.GetCollisionGeometriesForBody(body),
+        *plant.GetVisualGeometriesForBody(body),
+    ):
+        box = inspector.GetObbInGeometryFrame(geometry)
+        if box is None:
+            raise ValueError(
+                f"a mover must be bounded: {inspector.GetName(geometry)} is not"
+            )
+        X_BG = inspector.GetPoseInFrame(geometry) @ box.pose()
+        corners = (2 * signs - 1) * box.half_width()
+        hulls.append(corners @ X_BG.rotation().matrix().T + X_BG.translation())
+    if not hulls:
+        raise ValueError(f"a mover must have geometry: {body.name()} has none")
+    return np.array(hulls)
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -5,16 +5,10 @@ from collections.abc import Callable
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.grasping.planner import ModelGraspPlanner
-from xray_drake.gripper.quasi_static import DrawnGripper, QuasiStaticGripper
 from xray_drake.occupancy.exact import ExactInference
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
-from xray_drake.perception.systems import (
-    GroundTruthInstanceSegmenter,
-    GroundTruthTargetDetector,
-)
 from xray_drake.policy.choice_system import ChoicePolicy
 from xray_drake.policy.memory import MemoryConfig, TargetMemory
 from xray_drake.policy.memory_system import SearchMemory
@@ -24,6 +18,8 @@ from xray_drake.policy.system import Foresight, SearchPolicy
 from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
+from xray_drake.search.execution import add_execution
+from xray_drake.search.perception import add_perception
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import (
@@ -71,11 +67,13 @@ def build_search_diagram(
 
     Every box is a named system: ``heap_station``, ``target_detector``,
     ``instance_segmenter``, ``occupancy_inference``, ``search_policy``,
-    ``gripper_controller``. Policies that need them add ``search_memory``
-    between the camera and the inference, or ``true_target``. The outputs of
-    all are exported as ``box.port``, and so are the station's images and its
-    ground truth (``cheat.…``). In the default context the heap is at rest and
-    nothing has been decided.
+    ``gripper_controller``. With noise, ``depth_sensor`` stands between the
+    camera and all who read depth. With execution by contact, ``suction_cup``
+    and ``rest_sensor`` stand between the station and the gripper. Policies that
+    need them add ``search_memory`` between it and the inference, or
+    ``true_target``. The outputs of all are exported as ``box.port``, and so
+    are the station's images and its ground truth (``cheat.…``). In the default
+    context the heap is at rest and nothing has been decided.
 
     Args:
         scenario: what to build.
@@ -107,12 +105,10 @@ def build_search_diagram(
         name: int(item.body.index()) for name, item in parts.objects.items()
     }
 
-    detector = builder.AddSystem(
-        GroundTruthTargetDetector(target_label=parts.labels[target.name])
+    perception = add_perception(
+        builder, scenario, station, parts.labels, target.name
     )
-    segmenter = builder.AddSystem(
-        GroundTruthInstanceSegmenter(labels=parts.labels)
-    )
+    detector, segmenter = perception.detector, perception.segmenter
     inference = _inference(scenario, target)
     occupancy = builder.AddSystem(
         OccupancyInference(
@@ -145,26 +141,12 @@ def build_search_diagram(
             seed=scenario.seed,
         )
     )
-    geometry = load_gripper_geometry()
-    gripper = builder.AddSystem(
-        QuasiStaticGripper(
-            judge=planner,
-            objects=heap.models,
-            bodies=bodies,
-            drawn=DrawnGripper(
-                X_BJ=geometry.X_BJ,
-                X_BC=geometry.X_BC,
-                opening=scenario.gripper.parameters.opening,
-            ),
-            config=scenario.gripper.quasi_static,
-            seed=scenario.seed,
-            time_step=scenario.plant_config.time_step,
-        )
-    )
+    execution = add_execution(builder, scenario, station, parts, heap, planner)
+    gripper = execution.controller
 
     name = camera.name
-    depth: _Output = station, f"{name}.depth_image"
-    boxes = [detector, segmenter, occupancy, policy, gripper]
+    depth: _Output = perception.depth
+    boxes = [*perception.boxes, occupancy, policy, *execution.boxes]
     wires: list[_Wire] = []
     if kind.memory:
         memory = builder.AddSystem(
@@ -203,8 +185,6 @@ def build_search_diagram(
             (truth, "target_mask", policy, "true_target"),
         ]
     wires += [
-        (station, f"{name}.label_image", detector, "label_image"),
-        (station, f"{name}.label_image", segmenter, "label_image"),
         (*depth, occupancy, "depth_image"),
         (station, f"{name}.camera", occupancy, "camera"),
         (detector, "target_mask", occupancy, "target_mask"),
@@ -214,15 +194,6 @@ def build_search_diagram(
         (gripper, "status", policy, "status"),
         (station, "cheat.body_poses", policy, "body_poses"),
         (policy, "action", gripper, "action"),
-        (station, "cheat.body_poses", gripper, "body_poses"),
-        (
-            station,
-            "cheat.body_spatial_velocities",
-            gripper,
-            "body_spatial_velocities",
-        ),
-        (gripper, "applied_spatial_force", station, "applied_spatial_force"),
-        (gripper, "position", station, "gripper.position"),
     ]
     for source, output, drain, port in wires:
         builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))

@@ -1,5 +1,6 @@
 """Watches a search: records each action and ends the rollout."""
 
+from collections.abc import Collection
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +16,7 @@ from xray_drake.messages import (
     Outcome,
     SearchAction,
 )
-from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin
+from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin, inside_tote
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
@@ -76,12 +77,19 @@ class SearchMonitor:
         self._labels = diagram.GetOutputPort(f"{name}.label_image")
         self._removed: set[str] = set()
         station = diagram.station
+        gripper = station.gripper
+        self._by_contact = gripper is not None
         self._sleep = SleepMonitor(
-            station.plant, station.scene_graph, station.objects.values()
+            station.plant,
+            station.scene_graph,
+            station.objects.values(),
+            movers=gripper.bodies(station.plant) if gripper else (),
         )
         self._settle_awake = scenario.gripper.quasi_static.settle_awake
         self._decided = 0
         self._drawing = False
+        self._began = 0.0
+        self._cleared = False
         self.record = SearchRecord(
             horizon=scenario.horizon,
             policy=AGENT if diagram.agent else scenario.policy.name,
@@ -108,10 +116,16 @@ class SearchMonitor:
         if action.number > self._decided:
             self._begin(context, action)
         status: GripperStatus = self._status.Eval(context)
-        if status.held == self._target.name and self._is_clear(context):
-            self._finish(context, Outcome.LIFTED, "", "success")
-            return self._termination()
-        self._let_sleep(root_context, status)
+        if self._by_contact:
+            # Whatever the gripper holds, the target may hang on it.
+            if status.held and not self._cleared:
+                self._cleared = self._is_clear(context)
+            self._let_sleep_by_contact(root_context, status)
+        else:
+            if status.held == self._target.name and self._is_clear(context):
+                self._finish(context, Outcome.LIFTED, "", "success")
+                return self._termination()
+            self._let_sleep(root_context, status)
         done = (
             status.mode is GripperMode.IDLE
             and status.number == self._decided > 0
@@ -146,6 +160,24 @@ class SearchMonitor:
             self._sleep.set_asleep(root_context, asleep - set(status.loose))
         self._drawing = drawing
 
+    def _let_sleep_by_contact(
+        self, root_context: Context, status: GripperStatus
+    ) -> None:
+        """Lets sleep what is at rest and far from the gripper.
+
+        While the gripper is idle all sleep, so that pictures of one decision
+        are of one heap.
+        """
+        busy = status.mode is not GripperMode.IDLE
+        if busy:
+            if not self._drawing:
+                self._sleep.forget()
+            self._sleep(root_context)
+        else:
+            objects = self._diagram.station.objects.keys()
+            self._sleep.set_asleep(root_context, objects)
+        self._drawing = busy
+
     def _termination(self) -> EventStatus:
         return EventStatus.ReachedTermination(
             self._diagram, f"the search ended: {self.record.end}"
@@ -161,7 +193,10 @@ class SearchMonitor:
         return bool(lowest >= BIN_WALL_HEIGHT + LIFT_CLEARANCE)
 
     def _end(self, context: Context, status: GripperStatus) -> str:
-        if not inside_bin(self._target_pose(context)[:3, 3]):
+        p_WT = self._target_pose(context)[:3, 3]
+        if self._by_contact and self._cleared and inside_tote(p_WT):
+            return "success"
+        if not inside_bin(p_WT):
             return "target_lost"
         action: SearchAction = self._action.Eval(context)
         if status.outcome is Outcome.NO_GRASP and not action.invalid:
@@ -172,6 +207,8 @@ class SearchMonitor:
 
     def _begin(self, context: Context, action: SearchAction) -> None:
         self._decided = action.number
+        self._began = context.get_time()
+        self._cleared = False
         amodal = project_mesh_mask(
             self._target.visual.vertices,
             self._target.visual.faces,
@@ -224,13 +261,27 @@ class SearchMonitor:
         self, context: Context, outcome: Outcome, reason: str, end: str
     ) -> None:
         action = self.record.actions[-1]
-        action.outcome, action.reason = outcome, reason
         poses = self._poses.Eval(context)
-        self._removed = {
-            name
+        places = {
+            name: poses[int(item.body.index())].translation()
             for name, item in self._diagram.station.objects.items()
-            if not inside_bin(poses[int(item.body.index())].translation())
         }
+        removed = {n for n, p_WO in places.items() if not inside_bin(p_WO)}
+        if self._by_contact:
+            brought = {
+                name
+                for name in removed - self._removed
+                if inside_tote(places[name])
+            }
+            outcome, reason = judge_outcome(
+                outcome, reason, action.object, brought
+            )
+        else:
+            brought = {action.object} if outcome is Outcome.LIFTED else set()
+        action.outcome, action.reason = outcome, reason
+        action.lifted = tuple(sorted(brought))
+        action.duration = context.get_time() - self._began
+        self._removed = removed
         self.record.end = end
         if end == "success":
             action.support_after = action.support_01_after = 0
@@ -240,6 +291,27 @@ class SearchMonitor:
             action.support_01_after = rho.support_size(0.1)
         for observer in self._observers:
             observer.ended(self._diagram, context, action)
+
+
+def judge_outcome(
+    felt: Outcome, reason: str, meant: str, brought: Collection[str]
+) -> tuple[Outcome, str]:
+    """Returns how an action by contact really ended, and why.
+
+    Args:
+        felt: as far as the gripper knows.
+        reason: of a failure, as far as the gripper knows.
+        meant: name of the object that it was to take, empty if none is known.
+        brought: names of what has reached the tote.
+    """
+    if meant in brought or (brought and not meant):
+        return Outcome.LIFTED, ""
+    if brought:
+        names = ", ".join(sorted(brought))
+        return Outcome.LIFTED, f"it took {names} in place of {meant}"
+    if felt is Outcome.LIFTED:
+        return Outcome.SLIPPED, "it fell off unnoticed"
+    return felt, reason
 
 
 def attach_monitor(

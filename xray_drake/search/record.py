@@ -24,6 +24,9 @@ class ActionRecord:
         grasp: as planned.
         outcome: how it ended; NONE while it goes on.
         reason: why it failed, one line.
+        lifted: what really left the bin for the tote, or was on its way there
+            when the search ended.
+        duration: from the decision to the end of the action, simulated s.
         score: of the object in the ranking.
         support_before: |supp ρ| when it was decided, pixels.
         support_after: the same after it; −1 while it goes on.
@@ -42,6 +45,8 @@ class ActionRecord:
     grasp: Grasp
     outcome: Outcome = Outcome.NONE
     reason: str = ""
+    lifted: tuple[str, ...] = ()
+    duration: float = 0.0
     score: float = 0.0
     support_before: int = 0
     support_after: int = -1
@@ -66,6 +71,8 @@ class ActionRecord:
             },
             "outcome": self.outcome.value,
             "reason": self.reason,
+            "lifted": list(self.lifted),
+            "duration": round(self.duration, 3),
             "score": round(self.score, 4),
             "support_before": self.support_before,
             "support_after": self.support_after,
@@ -113,7 +120,7 @@ class SearchRecord:
 
     @property
     def success(self) -> bool:
-        """The target was grasped and lifted clear of the bin."""
+        """The target was lifted clear of the bin; by contact, to the tote."""
         return self.end == "success"
 
     @property

@@ -15,6 +15,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
+from xray_drake.gripper.grip_surfaces import add_grip_surfaces
+from xray_drake.gripper.yumi import YumiGripper, add_gripper
 from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.heap import Heap
@@ -37,12 +39,14 @@ class StationParts:
         scene_graph: with all geometry.
         objects: name to object, the target first.
         labels: name to the pixel value of the object in the label image.
+        gripper: in the plant, where grasps are executed by contact.
     """
 
     plant: MultibodyPlant
     scene_graph: SceneGraph
     objects: dict[str, PlantObject]
     labels: dict[str, int]
+    gripper: YumiGripper | None = None
 
 
 def build_heap_station(
@@ -54,7 +58,10 @@ def build_heap_station(
 
     - ``applied_spatial_force``: list of ExternallyAppliedSpatialForce;
     - ``gripper.position``: where the gripper is drawn, see
-      :class:`xray_drake.gripper.quasi_static.QuasiStaticGripper`.
+      :class:`xray_drake.gripper.quasi_static.QuasiStaticGripper`; or, where the
+      gripper is a body of the plant since execution is by contact,
+      ``wrist.desired_state`` (12) and ``fingers.desired_state`` (4), see
+      :class:`xray_drake.gripper.controller.GripperController`.
 
     Output ports, rendered or computed only when looked at:
 
@@ -62,11 +69,12 @@ def build_heap_station(
       ``overhead.label_image`` (ImageLabel16I, body indices);
     - ``overhead.camera``: PinholeCamera;
     - ``query_object``, ``contact_results``;
+    - ``wrist.state`` (12), ``fingers.state`` (4), by contact;
     - ``cheat.body_poses``, ``cheat.body_spatial_velocities``: ground truth,
       which a real robot does not have.
 
     Args:
-        scenario: its camera, physics and publishing period are used.
+        scenario: its camera, physics, execution and publishing period are used.
         heap: what lies in the bin.
         meshcat: shows the station, if given. Drake's
             ``ApplyVisualizationConfig`` is not used: it also sends to LCM.
@@ -80,8 +88,15 @@ def build_heap_station(
     items = add_objects(plant, heap.models, contact=scenario.scene.contact)
     for item in items:
         item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))
+    gripper = None
+    if scenario.gripper.execution == "contact":
+        gripper = add_gripper(plant)
+        add_grip_surfaces(plant, scene_graph, gripper, items)
     plant.Finalize()
-    _add_drawn_gripper(builder, scene_graph)
+    if gripper is None:
+        _add_drawn_gripper(builder, scene_graph)
+    else:
+        _export_gripper(builder, plant, gripper)
     sensor, camera = add_camera(builder, scene_graph, scenario.camera)
 
     if meshcat is not None:
@@ -119,8 +134,25 @@ def build_heap_station(
         scene_graph=scene_graph,
         objects={item.name: item for item in items},
         labels={item.name: int(item.body.index()) for item in items},
+        gripper=gripper,
     )
     return station, parts
+
+
+def _export_gripper(
+    builder: DiagramBuilder, plant: MultibodyPlant, gripper: YumiGripper
+) -> None:
+    for name, instance in (
+        ("wrist", gripper.wrist_instance),
+        ("fingers", gripper.finger_instance),
+    ):
+        builder.ExportInput(
+            plant.get_desired_state_input_port(instance),
+            f"{name}.desired_state",
+        )
+        builder.ExportOutput(
+            plant.get_state_output_port(instance), f"{name}.state"
+        )
 
 
 def _add_drawn_gripper(

@@ -20,11 +20,16 @@ from pydrake.visualization import VisualizationConfig
 
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
+from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
+from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
 from xray_drake.occupancy.learned import default_weights
 from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
+from xray_drake.perception.depth_noise import DepthNoise
+from xray_drake.perception.depth_segmenter import DepthSegmenterConfig
+from xray_drake.perception.hsv_target import HsvTargetConfig
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import (
     CameraSampling,
@@ -37,8 +42,8 @@ from xray_drake.scene.plant import default_plant_config
 from xray_drake.scene.targets import TARGET_NAMES
 from xray_drake.splits import SPLITS
 
-DETECTORS = ("ground_truth",)
-SEGMENTERS = ("ground_truth",)
+DETECTORS = ("ground_truth", "hsv")
+SEGMENTERS = ("ground_truth", "depth")
 OCCUPANCIES = ("learned", "posterior", "exact")
 POLICIES = (
     "xray",
@@ -51,7 +56,7 @@ POLICIES = (
     "combined",
 )
 GRASPS = ("models",)
-EXECUTIONS = ("quasi_static",)
+EXECUTIONS = ("quasi_static", "contact")
 
 
 MOST_OBJECTS = 100
@@ -106,10 +111,13 @@ class SceneConfig:
 class PerceptionConfig:
     """Which perception systems look at the images."""
 
-    # Finds the target's modal mask: "ground_truth".
+    # Finds the target's modal mask: "ground_truth", or "hsv" by its colour.
     detector: str = "ground_truth"
-    # Finds the modal masks of all objects: "ground_truth".
+    # Finds the modal masks of all objects: "ground_truth", or "depth" by the
+    # shape of what is seen.
     segmenter: str = "ground_truth"
+    # The depth image is as a real sensor gives it.
+    noise: bool = False
     # Infers the occupancy distribution: "learned" by a network; "posterior",
     # by a network too, but as probable as heaps have taught it; or "exact".
     occupancy: str = "learned"
@@ -118,6 +126,14 @@ class PerceptionConfig:
     weights: str = ""
     # Settings of "exact".
     exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
+    # Settings of "hsv".
+    hsv: HsvTargetConfig = field(default_factory=HsvTargetConfig)
+    # Settings of "depth".
+    depth_segmenter: DepthSegmenterConfig = field(
+        default_factory=DepthSegmenterConfig
+    )
+    # Settings of the noise.
+    depth_noise: DepthNoise = field(default_factory=DepthNoise)
 
 
 @dataclass
@@ -140,7 +156,8 @@ class GripperConfig:
 
     # How grasps are planned: "models".
     grasps: str = "models"
-    # How grasps are executed: "quasi_static".
+    # How grasps are executed: "quasi_static", where an ideal gripper lifts what
+    # the analysis says would hold; or "contact", with fingers and suction cup.
     execution: str = "quasi_static"
     # What the gripper can do.
     parameters: GripperParameters = field(default_factory=GripperParameters)
@@ -148,6 +165,10 @@ class GripperConfig:
     planner: GraspPlannerConfig = field(default_factory=GraspPlannerConfig)
     # How "quasi_static" perturbs, judges and moves.
     quasi_static: QuasiStaticConfig = field(default_factory=QuasiStaticConfig)
+    # How "contact" moves, and when it gives up.
+    contact: ExecutionConfig = field(default_factory=ExecutionConfig)
+    # The suction cup of "contact".
+    suction: SuctionConfig = field(default_factory=SuctionConfig)
 
 
 def nominal_camera() -> CameraConfig:
@@ -369,9 +390,19 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
         raise ScenarioError(
             f"{source}: scene.packaged_share needs scene.packaged: true"
         )
+    if (
+        scenario.perception.segmenter == "depth"
+        and scenario.gripper.grasps == "models"
+    ):
+        raise ScenarioError(
+            f"{source}: perception.segmenter is depth, but gripper.grasps is "
+            "models: of what is found in depth no model is known"
+        )
     _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
+    if scenario.gripper.execution == "contact":
+        _check_contact(scenario, source)
     if scenario.seed < 0:
         raise ScenarioError(
             f"{source}: seed is {scenario.seed}: it must not be negative"
@@ -392,8 +423,16 @@ _MUST_BE_POSITIVE = (
     "camera_sampling.least_focal",
     "scene.heap.max_attempts",
     "scene.heap.rest_round",
+    "perception.depth_segmenter.arm",
     "gripper.quasi_static.approach_time",
     "gripper.quasi_static.speed",
+    "gripper.contact.speed",
+    "gripper.contact.acceleration",
+    "gripper.contact.lift_speed",
+    "gripper.contact.approach_speed",
+    "gripper.contact.touch_speed",
+    "gripper.contact.give_up",
+    "gripper.suction.evacuation_time",
     "plant_config.time_step",
     "gripper.parameters.opening",
     "visualization.publish_period",
@@ -491,6 +530,28 @@ def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
     except RuntimeError as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: plant_config: {message}") from error
+
+
+def _check_contact(scenario: Scenario, source: str) -> None:
+    """Checks what the gripper in the plant needs of it."""
+    config = scenario.plant_config
+    for key, value, wanted in (
+        (
+            "contact_model",
+            config.contact_model,
+            ("hydroelastic", "hydroelastic_with_fallback"),
+        ),
+        (
+            "discrete_contact_approximation",
+            config.discrete_contact_approximation,
+            ("lagged", "similar", "sap"),
+        ),
+    ):
+        if value not in wanted:
+            raise ScenarioError(
+                f"{source}: gripper.execution is contact, but plant_config."
+                f"{key} is {value!r}: choose one of {', '.join(wanted)}"
+            )
 
 
 def _check_keys(tree: dict, schema: type, source: str, prefix: str) -> None:

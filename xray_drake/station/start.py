@@ -77,9 +77,10 @@ def look_at_heap(scenario: Scenario, heap: Heap) -> TargetView:
     """
     station, parts = build_heap_station(scenario, heap)
     context = station.CreateDefaultContext()
-    # Wherever it is drawn, the camera does not see it.
-    gripper = station.GetInputPort("gripper.position")
-    gripper.FixValue(context, np.eye(1, gripper.size())[0])
+    if parts.gripper is None:
+        # Wherever it is drawn, the camera does not see it.
+        gripper = station.GetInputPort("gripper.position")
+        gripper.FixValue(context, np.eye(1, gripper.size())[0])
     port = station.GetOutputPort(f"{scenario.camera.name}.label_image")
     target = heap.target
     amodal = project_mesh_mask(

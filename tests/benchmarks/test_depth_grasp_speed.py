@@ -1,0 +1,49 @@
+"""Time of planning one grasp from a 512×384 depth image.
+
+    OMP_NUM_THREADS=1 pytest tests/benchmarks/test_depth_grasp_speed.py \
+        -o addopts="--import-mode=importlib" --benchmark-only
+"""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from tests.grasping.depth_scenes import at, block, clutter, see
+from tests.occupancy.scenes import CAMERAS
+from xray_drake.grasping.depth_planner import DepthGraspPlanner
+
+CAMERA = CAMERAS["tilted"]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(threads)
+
+
+def time_plan(
+    benchmark: BenchmarkFixture, meshes: list[trimesh.Trimesh]
+) -> None:
+    depth, mask = see(CAMERA, *meshes)
+    planner = DepthGraspPlanner()
+    grasp = benchmark(planner.plan, "it", mask, depth, CAMERA)
+    assert grasp.quality > 0
+
+
+def test_a_thin_box_alone(benchmark: BenchmarkFixture) -> None:
+    time_plan(benchmark, [block([0.042, 0.021, 0.005], at(0, 0, 0.0025))])
+
+
+def test_a_large_plate_alone(benchmark: BenchmarkFixture) -> None:
+    time_plan(benchmark, [block([0.12, 0.08, 0.01], at(0, 0, 0.005))])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_block_in_a_heap(benchmark: BenchmarkFixture, seed: int) -> None:
+    time_plan(benchmark, clutter(np.random.default_rng(seed), 14))

@@ -1,0 +1,161 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.grasping.depth_scenes import at, block, clutter, downwards, see
+from tests.occupancy.scenes import CAMERAS
+from xray_drake.grasping.depth_approach import ApproachShape
+from xray_drake.grasping.depth_free_space import FreeSpace
+from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.messages import GraspKind
+
+GRIPPER = load_gripper_geometry()
+KINDS = (GraspKind.JAW, GraspKind.SUCTION)
+SHAPES = {
+    kind: ApproachShape(
+        kind, GRIPPER, approach_distance=0.10, cup_standoff=0.002
+    )
+    for kind in KINDS
+}
+CAMERA = CAMERAS["tilted"]
+
+
+def space(*meshes, camera=CAMERA):
+    return FreeSpace(see(camera, *meshes)[0], camera, SHAPES)
+
+
+def poses(rng, count):
+    """Grippers about the middle, most of them near the floor."""
+    X = np.array([downwards(0, 0, 0)] * count)
+    lean = Rotation.from_rotvec(
+        rng.normal(scale=0.25, size=(count, 3)) * [1, 1, 6]
+    )
+    X[:, :3, :3] = lean.as_matrix() @ X[:, :3, :3]
+    X[:, :3, 3] = rng.uniform([-0.1, -0.1, 0.005], [0.1, 0.1, 0.06], (count, 3))
+    return X
+
+
+def unknown_points(depth, camera):
+    """What the camera has not seen to be free, above the floor: (m, 3)."""
+    depth = depth[::3, ::3].astype(float)
+    rays = camera.rays()[::3, ::3]
+    clouds = [
+        camera.X_WC[:3, 3] + rays * (depth + beyond)[..., None]
+        for beyond in (0.0, 0.003, 0.006, 0.012, 0.02, 0.03, 0.05)
+    ]
+    points = np.concatenate(clouds).reshape(-1, 3)
+    return points[points[:, 2] > 0.003]
+
+
+def depth_inside(points_W, X_WG, kind, opening):
+    """How deep the points are in the gripper's boxes, one box at a time."""
+    jaw = kind is GraspKind.JAW
+    X_BG = GRIPPER.X_BJ if jaw else GRIPPER.X_BC
+    lower, upper = (
+        GRIPPER.swept_jaw(0.10) if jaw else GRIPPER.swept_suction(0.10, 0.002)
+    )
+    if jaw:
+        shift = GRIPPER.closing_shift(opening)
+        lower, upper = lower + shift, upper + shift
+    X_BW = X_BG @ np.linalg.inv(X_WG)
+    p_B = points_W @ X_BW[:3, :3].T + X_BW[:3, 3]
+    deepest = -np.inf
+    for a, b, tube in zip(lower, upper, GRIPPER.round, strict=True):
+        inside = np.minimum(p_B - a, b - p_B)
+        depth = inside.min(axis=1)
+        if tube and not jaw:
+            across = np.hypot(*(p_B - 0.5 * (a + b))[:, 1:].T)
+            radius = 0.5 * (b - a)[1]
+            depth = np.minimum(inside[:, 0], radius - across)
+        deepest = max(deepest, depth.max())
+    return deepest
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_against_brute_force(kind, seed):
+    """Free is free of unknown points, also where it is moved sideways by
+    less than its room; and what is far from all of them is free."""
+    rng = np.random.default_rng(seed)
+    depth, _ = see(CAMERA, *clutter(rng, 5))
+    unknown = unknown_points(depth, CAMERA)
+    X_WG = poses(rng, 40)
+    opening = rng.uniform(0.01, 0.05, len(X_WG))
+    room = FreeSpace(depth, CAMERA, SHAPES).room(kind, X_WG, opening)
+    free = np.flatnonzero(room >= 0)
+    assert 3 < len(free) < 37
+    for i in free:
+        angle = rng.uniform(0, 2 * np.pi)
+        aside = CAMERA.X_WC[:3, :2] @ [np.cos(angle), np.sin(angle)]
+        for shift in (0.0, 0.7 * room[i]):
+            X = X_WG[i].copy()
+            X[:3, 3] += shift * aside
+            assert depth_inside(unknown, X, kind, opening[i]) < 0.001
+    for i in np.flatnonzero(room < 0):
+        assert depth_inside(unknown, X_WG[i], kind, opening[i]) > -0.012
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_one_object_more_leaves_no_more_room(seed):
+    rng = np.random.default_rng(seed)
+    meshes = clutter(rng, 4)
+    X_WG, opening = poses(rng, 20), np.full(20, 0.04)
+    for kind in KINDS:
+        fewer = space(*meshes[:-1]).room(kind, X_WG, opening)
+        more = space(*meshes).room(kind, X_WG, opening)
+        assert (more <= fewer).all()
+
+
+@pytest.mark.parametrize(("y", "free"), [(0.159, True), (0.161, False)])
+def test_the_walls_are_known_though_not_seen(y, free):
+    """The gripper's body reaches 40 mm aside, below the walls' top."""
+    X_WG = downwards(0, y, 0.03)[None]
+    room = space().room(GraspKind.JAW, X_WG, np.array([0.03]))
+    assert (room[0] >= 0) == free
+    above = downwards(0, y, 0.03 + 0.12)[None]
+    assert space().room(GraspKind.JAW, above, np.array([0.03]))[0] >= 0
+
+
+@pytest.mark.parametrize(("z", "free"), [(0.0035, True), (-0.002, False)])
+def test_a_noisy_floor_is_no_obstacle(z, free):
+    camera = CAMERAS["nominal"]
+    rng = np.random.default_rng(0)
+    depth = see(camera)[0] + rng.normal(scale=0.0004, size=camera.shape)
+    X_WG = downwards(0.02, 0, z)[None]
+    room = FreeSpace(depth, camera, SHAPES).room(
+        GraspKind.JAW, X_WG, np.array([0.03])
+    )
+    assert (room[0] >= 0) == free
+
+
+@pytest.mark.parametrize(("gap", "free"), [(0.014, True), (0.007, False)])
+def test_a_finger_between_two_blocks(gap, free):
+    """A finger is 8 mm thick; 2 to 3 mm are kept on either side."""
+    near = 0.015 + gap
+    s = space(
+        block([0.04, 0.02, 0.03], at(0, 0, 0.015)),
+        block([0.04, 0.04, 0.03], at(0, near + 0.02, 0.015)),
+        camera=CAMERAS["nominal"],
+    )
+    room = s.room(GraspKind.JAW, downwards(0, 0, 0.02)[None], np.array([0.030]))
+    assert (room[0] >= 0) == free
+
+
+def test_what_hides_behind_an_object_is_taken_as_full():
+    """Fingers 4.5 mm from a block: the leaning camera sees one side."""
+    camera = CAMERAS["tilted"]
+    yaw = np.arctan2(camera.X_WC[1, 3], camera.X_WC[0, 3])
+    s = space(block([0.04, 0.04, 0.04], at(0, 0, 0.02, yaw=yaw)))
+    for side, free in ((1.0, True), (-1.0, False)):
+        x, y = side * 0.0295 * np.array([np.cos(yaw), np.sin(yaw)])
+        X_WG = downwards(x, y, 0.0035, yaw=yaw)[None]
+        room = s.room(GraspKind.JAW, X_WG, np.array([0.0]))
+        assert (room[0] >= 0) == free
+
+
+def test_no_poses_have_no_room():
+    none = space().room(GraspKind.JAW, np.zeros((0, 4, 4)), np.zeros(0))
+    assert none.shape == (0,)

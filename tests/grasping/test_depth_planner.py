@@ -1,0 +1,283 @@
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.grasping.depth_scenes import (
+    at,
+    ball,
+    block,
+    clutter,
+    rod,
+    see,
+    turned,
+)
+from tests.grasping.test_depth_free_space import depth_inside
+from tests.occupancy.scenes import CAMERAS
+from xray_drake.grasping.candidates import same_grasp
+from xray_drake.grasping.depth_planner import (
+    DepthGraspPlanner,
+    DepthPlannerConfig,
+)
+from xray_drake.grasping.judgement import GraspJudge
+from xray_drake.grasping.planner import ModelGraspPlanner
+from xray_drake.messages import GraspKind
+from xray_drake.scene.object_model import object_from_pieces
+
+CAMERA = CAMERAS["nominal"]
+FLAT = [0.042, 0.021, 0.005]
+PLATE = [0.08, 0.08, 0.01]
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return DepthGraspPlanner(seed=3)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return ModelGraspPlanner(
+        [
+            object_from_pieces(
+                "flat", [trimesh.creation.box(FLAT)], density=600.0
+            )
+        ]
+    )
+
+
+def plan(planner, *meshes, camera=CAMERA, **options):
+    depth, mask = see(camera, *meshes)
+    return planner.plan("it", mask, depth, camera, **options)
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    x=st.floats(-0.15, 0.15),
+    y=st.floats(-0.10, 0.10),
+    yaw=st.floats(-np.pi, np.pi),
+    camera=st.sampled_from(["nominal", "tilted", "low"]),
+)
+def test_a_thin_box_on_the_floor_is_grasped_from_above(
+    planner, truth, x, y, yaw, camera
+):
+    X_WO = at(x, y, 0.0025, yaw=yaw)
+    grasp = plan(planner, block(FLAT, X_WO), camera=CAMERAS[camera])
+    assert grasp.kind is GraspKind.JAW
+    assert grasp.object == "it"
+    assert grasp.quality > 0.2
+    X = grasp.X_WG
+    np.testing.assert_allclose(X[:3, :3] @ X[:3, :3].T, np.eye(3), atol=1e-9)
+    # The tips, 3 mm beyond the origin, are above the floor but below the top.
+    assert 0.003 <= X[2, 3] < 0.008
+    assert min(abs(grasp.width - side) for side in FLAT[:2]) < 0.004
+    judged = truth.judge(
+        grasp=type(grasp)(
+            kind=grasp.kind, object="flat", X_WG=X, width=grasp.width
+        ),
+        poses={"flat": X_WO},
+        X_WG_perturbed=X,
+        friction=0.5,
+    )
+    assert judged.quality > 0, judged.reason
+
+
+@pytest.mark.parametrize("camera", ["nominal", "tilted"])
+def test_a_plate_too_wide_for_the_jaw_is_sucked(planner, camera):
+    grasp = plan(
+        planner, block(PLATE, at(0.05, 0, 0.005)), camera=CAMERAS[camera]
+    )
+    assert grasp.kind is GraspKind.SUCTION
+    assert grasp.width == 0.0
+    assert grasp.quality > 0.5
+    np.testing.assert_allclose(grasp.X_WG[:3, 2], [0, 0, -1], atol=0.02)
+    np.testing.assert_allclose(grasp.X_WG[:3, 3], [0.05, 0, 0.01], atol=0.006)
+
+
+@pytest.mark.parametrize("camera", ["nominal", "tilted"])
+def test_a_ball_is_squeezed_at_its_equator(planner, camera):
+    grasp = plan(planner, ball(0.018, 0.06, 0, 0.018), camera=CAMERAS[camera])
+    assert grasp.kind is GraspKind.JAW
+    assert grasp.width == pytest.approx(0.036, abs=0.003)
+    # The pads reach from 3 mm beyond the origin to 7 mm behind it.
+    middle = grasp.X_WG[:3, 3] - 0.002 * grasp.X_WG[:3, 2]
+    np.testing.assert_allclose(middle, [0.06, 0, 0.018], atol=0.005)
+
+
+def test_a_lying_rod_is_squeezed_across(planner):
+    X = at(0, 0.03, 0.012, np.pi / 2, 0, 0.5)
+    grasp = plan(planner, rod(0.012, 0.09, X))
+    assert grasp.kind is GraspKind.JAW
+    assert abs(grasp.X_WG[:3, 1] @ X[:3, 2]) < 0.2
+    assert grasp.width == pytest.approx(0.024, abs=0.003)
+
+
+def test_nothing_under_a_roof(planner):
+    """Seen through a slot too narrow for the fingers."""
+    flat = block(FLAT, at(0, 0, 0.0025))
+    roofs = [block([0.2, 0.2, 0.01], at(s * 0.107, 0, 0.05)) for s in (1, -1)]
+    depth, mask = see(CAMERA, flat, *roofs)
+    assert 50 < mask.sum() < 250
+    assert not planner.plan("it", mask, depth, CAMERA)
+    assert plan(planner, roofs[0], flat).kind is GraspKind.SUCTION
+
+
+def test_nothing_between_high_posts(planner):
+    """They stand 1 mm from all four sides: no room for a fingertip."""
+    dx, dy = 0.021 + 0.011, 0.0105 + 0.011
+    walls = [
+        block([0.02, 0.12, 0.10], at(dx, 0, 0.05)),
+        block([0.02, 0.12, 0.10], at(-dx, 0, 0.05)),
+        block([0.12, 0.02, 0.10], at(0, dy, 0.05)),
+        block([0.12, 0.02, 0.10], at(0, -dy, 0.05)),
+    ]
+    flat = block(FLAT, at(0, 0, 0.0025))
+    assert not plan(planner, flat, *walls)
+    assert plan(planner, flat)
+
+
+def test_excluded_grasps_are_not_returned(planner):
+    """Whatever they are called: a segmenter's names change."""
+    depth, mask = see(CAMERA, block(FLAT, at(0.02, 0.01, 0.0025, yaw=0.3)))
+    excluded = []
+    for number in range(4):
+        grasp = planner.plan(
+            f"instance_{number}", mask, depth, CAMERA, excluded=excluded
+        )
+        assert grasp
+        assert not any(
+            same_grasp(old, grasp.kind, grasp.X_WG, position=0.005, angle=0.175)
+            for old in excluded
+        )
+        excluded.append(grasp)
+
+
+def test_plans_follow_from_image_and_seed_alone(planner):
+    meshes = clutter(np.random.default_rng(5), 4)
+    other = DepthGraspPlanner(seed=3)
+    other_first = plan(other, *meshes[::-1])
+    a, b = plan(planner, *meshes), plan(other, *meshes)
+    assert a
+    np.testing.assert_array_equal(a.X_WG, b.X_WG)
+    assert (a.width, a.quality) == (b.width, b.quality)
+    assert not np.array_equal(a.X_WG, other_first.X_WG)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_turning_scene_and_camera_turns_the_grasps(seed):
+    """Without rehearsals, whose errors are drawn in the world's axes."""
+    planner = DepthGraspPlanner(config=DepthPlannerConfig(rehearsals=0))
+    rng = np.random.default_rng(seed)
+    meshes = clutter(rng, 3, spread=0.03)
+    angle = rng.uniform(0.3, 6.0)
+    X = at(0, 0, 0, yaw=angle)
+    camera = CAMERAS["tilted"]
+    depth, mask = see(camera, *meshes)
+    found = planner.find_grasps("it", mask, depth, camera)
+    again = planner.find_grasps("it", mask, depth, turned(camera, angle))
+    assert len(found) == len(again) > 0
+    for a, b in zip(found, again, strict=True):
+        # Of a jaw and the same jaw half turned, either may come first.
+        half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+        error = min(
+            np.abs(X @ a.X_WG @ turn - b.X_WG).max()
+            for turn in (np.eye(4), half_turn)
+        )
+        assert error < 1e-6
+        assert a.quality == pytest.approx(b.quality, abs=1e-6)
+        assert a.width == pytest.approx(b.width, abs=1e-6)
+
+
+def test_no_grasp_has_a_point_of_the_image_in_the_gripper(planner):
+    camera = CAMERAS["tilted"]
+    judge = GraspJudge(())
+    found = 0
+    for seed in range(6):
+        depth, mask = see(camera, *clutter(np.random.default_rng(seed), 7))
+        points = camera.unproject(depth.astype(float)).reshape(-1, 3)
+        points = points[points[:, 2] > 0.002]
+        for grasp in planner.find_grasps("it", mask, depth, camera):
+            opening = float(judge.opening(np.asarray(grasp.width)))
+            inside = depth_inside(points, grasp.X_WG, grasp.kind, opening)
+            assert inside < 0.0005
+            assert -grasp.X_WG[2, 2] >= np.cos(planner.config.max_tilt) - 1e-9
+            assert 0 < grasp.quality <= 1
+            assert 0 <= grasp.width <= planner.parameters.opening
+            found += 1
+    assert found > 15
+
+
+def test_what_cannot_be_seen_has_no_grasp(planner):
+    depth, mask = see(CAMERA, block(FLAT, at(0, 0, 0.0025)))
+    few = np.zeros_like(mask)
+    few[200, 200:203] = True
+    for bad_depth, bad_mask in (
+        (depth, np.zeros_like(mask)),
+        (depth, few),
+        (np.full_like(depth, np.nan), mask),
+        (np.zeros_like(depth), mask),
+        (np.full_like(depth, np.inf), mask),
+        (np.where(mask, np.nan, depth), mask),
+    ):
+        grasp = planner.plan("it", bad_mask, bad_depth, CAMERA)
+        assert grasp.kind is GraspKind.NONE
+
+
+def test_odd_masks_do_no_harm(planner):
+    """Of everything, of the border, of the floor alone, of a line."""
+    depth, mask = see(CAMERA, block(PLATE, at(0, 0, 0.005)))
+    border = np.ones_like(mask)
+    border[3:-3, 3:-3] = False
+    line = np.zeros_like(mask)
+    line[190] = True
+    speckles = np.zeros_like(mask)
+    speckles[::7, ::5] = True
+    for odd in (np.ones_like(mask), border, ~mask, line, speckles):
+        grasp = planner.plan("it", odd, depth, CAMERA)
+        assert np.isfinite(grasp.X_WG).all()
+    only = np.where(mask, depth, np.nan)
+    assert planner.plan("it", mask, only, CAMERA).kind is GraspKind.SUCTION
+
+
+def test_images_of_another_shape_are_refused(planner):
+    depth, mask = see(CAMERA, block(PLATE, at(0, 0, 0.005)))
+    with pytest.raises(ValueError, match="depth image"):
+        planner.plan("it", mask, depth[:, 1:], CAMERA)
+    with pytest.raises(ValueError, match="mask"):
+        planner.plan("it", mask[1:], depth, CAMERA)
+
+
+def test_lost_readings_cost_no_grasp(planner):
+    """One pixel in fifty, and a shadow 6 mm wide beside the object."""
+    depth, mask = see(CAMERA, block(FLAT, at(0, 0, 0.0025)))
+    rng = np.random.default_rng(0)
+    depth[rng.random(depth.shape) < 0.02] = 0.0
+    last = np.flatnonzero(mask.any(axis=0)).max()
+    depth[150:240, last + 1 : last + 5] = np.nan
+    grasp = planner.plan("it", mask, depth, CAMERA)
+    assert grasp.kind is GraspKind.JAW
+    assert min(abs(grasp.width - side) for side in FLAT[:2]) < 0.004
+
+
+def test_a_heavier_guess_lowers_the_quality(planner):
+    plate = block(PLATE, at(0, 0, 0.005))
+    heavy = DepthGraspPlanner(config=DepthPlannerConfig(density=4000.0))
+    assert plan(heavy, plate).quality < plan(planner, plate).quality
+    leaden = DepthGraspPlanner(config=DepthPlannerConfig(density=1e6))
+    assert not plan(leaden, plate)
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.2, 0.15), (-0.22, 0.0)])
+def test_beside_a_wall_the_gripper_stays_clear_of_it(planner, x, y):
+    """The wall is not in the image; the exact check knows it."""
+    depth, mask = see(CAMERA, block([0.05, 0.03, 0.02], at(x, y, 0.01)))
+    judge = GraspJudge(())
+    found = planner.find_grasps("it", mask, depth, CAMERA)
+    assert found
+    for grasp in found:
+        opening = float(judge.opening(np.asarray(grasp.width)))
+        assert not (
+            judge.scene.jaw_collides(grasp.X_WG, opening)
+            if grasp.kind is GraspKind.JAW
+            else judge.scene.suction_collides(grasp.X_WG)
+        )

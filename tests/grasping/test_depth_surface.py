@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from tests.grasping.depth_scenes import at, block, see, surface_of
+from tests.occupancy.scenes import CAMERAS
+from xray_drake.grasping.depth_surface import fill_gaps, fill_mask, observe
+
+IMAGES = arrays(
+    np.float32,
+    (6, 9),
+    elements=st.sampled_from([0.0, np.nan, np.inf, 0.5, 0.6, 0.7, 0.8]),
+)
+
+
+def readings(row):
+    return {i: d for i, d in enumerate(row) if np.isfinite(d) and d > 0}
+
+
+@given(IMAGES)
+def test_a_gap_gets_the_farther_of_its_rows_next_readings(depth):
+    filled = fill_gaps(depth)
+    for row, result in zip(depth, filled, strict=True):
+        known = readings(row)
+        for i, value in enumerate(result):
+            left = [j for j in known if j <= i]
+            right = [j for j in known if j >= i]
+            ends = [known[max(left)]] if left else []
+            ends += [known[min(right)]] if right else []
+            assert value == (max(ends) if ends else np.inf)
+
+
+@given(IMAGES, arrays(bool, (6, 9)))
+def test_a_gap_of_the_mask_gets_a_near_reading_of_the_mask(depth, mask):
+    known = mask & np.isfinite(depth) & (depth > 0)
+    if not known.any():
+        return
+    filled = fill_mask(depth, mask)
+    lost = mask & ~known
+    np.testing.assert_array_equal(filled[~lost], depth[~lost])
+    places = np.argwhere(known)
+    for v, u in np.argwhere(lost):
+        distance = np.hypot(*(places - [v, u]).T)
+        # OpenCV's distances on a 5 × 5 mask are rough by some percent.
+        near = places[distance <= 1.1 * distance.min()]
+        assert filled[v, u] in depth[near[:, 0], near[:, 1]]
+
+
+@pytest.mark.parametrize("name", ["nominal", "low"])
+def test_a_part_of_the_image_shows_the_same_points(name):
+    camera = CAMERAS[name]
+    depth, mask = see(camera, block([0.06, 0.03, 0.02], at(0.1, 0.05, 0.01)))
+    surface = observe(depth, mask, camera, min_pixels=10)
+    assert surface.depth.shape == surface.camera.shape < camera.shape
+    np.testing.assert_allclose(
+        surface.object_points, camera.unproject(depth)[mask], atol=1e-7
+    )
+    uvz = surface.camera.project(surface.object_points)
+    v, u = np.nonzero(surface.mask)
+    np.testing.assert_allclose(uvz[:, :2], np.stack([u, v], -1), atol=1e-4)
+
+
+def test_too_little_to_see_is_nothing():
+    camera = CAMERAS["nominal"]
+    depth, mask = see(camera, block([0.06, 0.03, 0.02], at(0, 0, 0.01)))
+    assert observe(depth, mask, camera, min_pixels=20) is not None
+    few = np.zeros_like(mask)
+    few[200, 200:203] = True
+    for bad_depth, bad_mask in (
+        (depth, np.zeros_like(mask)),
+        (depth, few),
+        (np.full_like(depth, np.nan), mask),
+        (np.zeros_like(depth), mask),
+        (np.full_like(depth, np.inf), mask),
+        (np.where(mask, 0.0, depth), mask),
+    ):
+        assert observe(bad_depth, bad_mask, camera, min_pixels=20) is None
+
+
+def test_images_of_another_shape_are_refused():
+    camera = CAMERAS["nominal"]
+    depth = np.ones(camera.shape, np.float32)
+    mask = np.ones(camera.shape, bool)
+    with pytest.raises(ValueError, match="depth image"):
+        observe(depth[1:], mask, camera, min_pixels=1)
+    with pytest.raises(ValueError, match="mask"):
+        observe(depth, mask[:, 1:], camera, min_pixels=1)
+
+
+@pytest.mark.parametrize("name", ["nominal", "tilted"])
+@pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (0.4, 0), (0.2, -0.5)])
+def test_normals_of_a_plate(name, roll, pitch):
+    X = at(0.05, 0.03, 0.06, roll, pitch)
+    surface = surface_of(CAMERAS[name], block([0.06, 0.05, 0.004], X))
+    p = (surface.points_W - X[:3, 3]) @ X[:3, :3]
+    top = surface.mask & (np.abs(p[..., 0]) < 0.025) & (p[..., 2] > 0.0019)
+    top &= np.abs(p[..., 1]) < 0.020
+    assert top.sum() > 0.4 * surface.mask.sum()
+    angle = np.arccos(np.clip(surface.normals_W[top] @ X[:3, 2], -1, 1))
+    assert np.rad2deg(angle).max() < 1.0

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from xray_drake.gripper.grip_surfaces import GRIP, PAD, add_grip_surfaces
+from xray_drake.gripper.yumi import add_gripper
+from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.plant import (
+    add_bin,
+    add_objects,
+    add_plant,
+    default_plant_config,
+)
+from xray_drake.scene.shapes import box
+
+
+def block(name: str) -> ObjectModel:
+    pieces = [
+        *box(0.04, 0.03, 0.02).surfaces,
+        *box(0.02, 0.03, 0.02, (0.0, 0.0, 0.02)).surfaces,
+    ]
+    return object_from_pieces(name, pieces, density=500.0)
+
+
+class Scene:
+    def __init__(self) -> None:
+        builder = DiagramBuilder()
+        self.plant: MultibodyPlant
+        self.scene_graph: SceneGraph
+        self.plant, self.scene_graph = add_plant(
+            builder, default_plant_config()
+        )
+        add_bin(self.plant)
+        self.gripper = add_gripper(self.plant)
+        self.items = add_objects(self.plant, [block("a"), block("b")])
+        add_grip_surfaces(
+            self.plant, self.scene_graph, self.gripper, self.items
+        )
+        self.plant.Finalize()
+        self.diagram: Diagram = builder.Build()
+
+    def touching(
+        self, jaw: tuple[float, float, float], a: float, b: float
+    ) -> set[frozenset[str]]:
+        """Which kinds of geometry may meet, with both objects on the floor.
+
+        Args:
+            jaw: where the open jaw is, pointing down, m.
+            a: x of the first object, m.
+            b: x of the second, m.
+        """
+        root = self.diagram.CreateDefaultContext()
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        X_WJ = np.diag([1.0, -1.0, -1.0, 1.0])
+        X_WJ[:3, 3] = jaw
+        gripper = self.gripper
+        q = gripper.wrist.joints(
+            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.home
+        )
+        self.plant.SetPositions(context, gripper.wrist_instance, q)
+        self.plant.SetPositions(
+            context, gripper.finger_instance, np.full(2, 0.011)
+        )
+        for item, x in zip(self.items, (a, b), strict=True):
+            item.joint.SetPose(context, RigidTransform([x, 0.0, 0.0145]))
+        query = self.plant.get_geometry_query_input_port().Eval(context)
+        inspector = self.scene_graph.model_inspector()
+
+        def kind(geometry: object) -> str:
+            name = inspector.GetName(geometry).split("::")[-1]
+            return name.rstrip("_0123456789").split("_")[0]
+
+        return {
+            frozenset({kind(first), kind(second)})
+            for first, second in query.FindCollisionCandidates()
+        }
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene()
+
+
+def test_pads_meet_the_hard_surfaces_and_nothing_else_does(
+    scene: Scene,
+) -> None:
+    # The jaw about the first object, and the second into it and the floor.
+    touching = scene.touching((0.0, 0.0, 0.01), 0.0, 0.03)
+    assert frozenset({PAD, GRIP}) in touching
+    assert frozenset({PAD, "piece"}) not in touching
+    assert {pair for pair in touching if GRIP in pair} == {
+        frozenset({PAD, GRIP})
+    }
+    # Objects meet each other, the floor and the fingers as ever.
+    assert frozenset({"piece"}) in touching
+    assert frozenset({"piece", "floor"}) in touching
+    assert frozenset({"piece", "finger"}) in touching
+
+
+def test_pads_still_meet_the_floor(scene: Scene) -> None:
+    touching = scene.touching((0.1, 0.1, 0.001), -0.1, -0.2)
+    assert frozenset({PAD, "floor"}) in touching
+
+
+def test_each_piece_has_a_hard_copy(scene: Scene) -> None:
+    inspector = scene.scene_graph.model_inspector()
+    for item in scene.items:
+        names = [
+            inspector.GetName(geometry).split("::")[-1]
+            for geometry in scene.plant.GetCollisionGeometriesForBody(item.body)
+        ]
+        assert len(names) == 2 * len(item.model.pieces)
+        assert sum(name.startswith(GRIP) for name in names) == 2

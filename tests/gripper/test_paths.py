@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xray_drake.gripper.paths import Leg, make_path, stay
+from xray_drake.gripper.wrist import Wrist
+
+WRIST = Wrist(
+    R_FT=np.eye(3),
+    lower=np.full(6, -10.0),
+    upper=np.full(6, 10.0),
+    velocity=np.array([1.5, 1.5, 1.0, 3.0, 2.0, 3.0]),
+    acceleration=np.array([4.0, 4.0, 4.0, 20.0, 10.0, 20.0]),
+    stiffness=np.ones(6),
+)
+
+points = st.lists(st.floats(-2, 2), min_size=6, max_size=6).map(np.array)
+legs = st.lists(
+    st.tuples(points, st.sampled_from([0.05, 0.5, np.inf])),
+    min_size=1,
+    max_size=3,
+).map(lambda found: [Leg(end, speed) for end, speed in found])
+
+
+@settings(deadline=None, max_examples=50)
+@given(points, legs, st.floats(0, 100))
+def test_it_goes_along_its_legs_within_the_limits(
+    start: np.ndarray, legs: list[Leg], begin: float
+) -> None:
+    path = make_path(start, legs, begin, wrist=WRIST)
+    np.testing.assert_allclose(path.sample(begin)[0], start, atol=1e-9)
+    np.testing.assert_allclose(path.end, legs[-1].end, atol=1e-9)
+    for time in (begin, path.end_time):
+        np.testing.assert_allclose(path.sample(time)[1], 0, atol=1e-6)
+    bends = path.trajectory.MakeDerivative(2)
+    for time in np.linspace(begin, path.end_time, 60):
+        _, v = path.sample(time)
+        assert np.all(np.abs(v) <= WRIST.velocity * (1 + 1e-6))
+        assert np.linalg.norm(v[:3]) <= max(leg.speed for leg in legs) + 1e-6
+        a = bends.value(time)[:, 0]
+        assert np.all(np.abs(a) <= WRIST.acceleration * (1 + 1e-6))
+    before = start
+    for index, leg in enumerate(legs):
+        curve = path.trajectory.segment(index)
+        times = np.linspace(curve.start_time(), curve.end_time(), 9)
+        way = leg.end - before
+        done = np.array([curve.value(time)[:, 0] - before for time in times])
+        share = done @ way / max(way @ way, 1e-12)
+        np.testing.assert_allclose(done, np.outer(share, way), atol=1e-6)
+        assert np.all(np.diff(share) >= -1e-9)
+        before = leg.end
+
+
+def test_the_limits_are_used() -> None:
+    far = np.array([1.0, 0, 0, 0, 0, 0])
+    path = make_path(np.zeros(6), [Leg(far, 0.5)], 0.0, wrist=WRIST)
+    assert path.end_time == pytest.approx(1.875 / 0.5)
+    near = 0.01 * far
+    path = make_path(np.zeros(6), [Leg(near)], 0.0, wrist=WRIST)
+    fastest = np.abs(
+        [
+            path.trajectory.MakeDerivative(2).value(t)[0, 0]
+            for t in np.linspace(0, path.end_time, 500)
+        ]
+    ).max()
+    assert fastest == pytest.approx(4.0, rel=0.01)
+
+
+def test_it_stays_before_and_after() -> None:
+    start, end = np.zeros(6), np.full(6, 0.1)
+    path = make_path(start, [Leg(end)], 1.0, wrist=WRIST)
+    for time, there in ((0.0, start), (99.0, end)):
+        q, v = path.sample(time)
+        np.testing.assert_allclose(q, there, atol=1e-12)
+        np.testing.assert_allclose(v, 0, atol=1e-9)
+    path = stay(end, 1.0, 0.5)
+    assert path.end_time == pytest.approx(1.5)
+    np.testing.assert_allclose(path.sample(1.2)[0], end)

@@ -1,0 +1,285 @@
+"""The law of the cup, without a plant."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from xray_drake.grasping.wrench import suction_holding_force
+from xray_drake.gripper.suction import (
+    Cup,
+    CupState,
+    HeldBody,
+    SuctionConfig,
+    deflection_of,
+    hold,
+    implicit_wrench,
+    open_cup,
+    point_mobility,
+)
+
+CUP = Cup()
+STEP = 0.005
+
+numbers = st.floats(-1, 1)
+vectors = st.lists(numbers, min_size=3, max_size=3).map(np.array)
+wrenches = st.lists(numbers, min_size=6, max_size=6).map(
+    lambda w: np.array(w) * [0.1, 0.1, 0.1, 10, 10, 10]
+)
+masses = st.floats(np.log(0.002), np.log(0.5)).map(np.exp)
+
+
+def inertia_of(mass: float, size: float = 0.04) -> np.ndarray:
+    return mass * size**2 * np.diag([0.08, 0.12, 0.17])
+
+
+def pull(force: float) -> np.ndarray:
+    return np.array([0, 0, 0, 0, 0, -force])
+
+
+def test_the_limits_one_by_one() -> None:
+    assert CUP.load(pull(14.0)) == pytest.approx(1.0)
+    assert CUP.load(pull(14.0), vacuum=0.5) == pytest.approx(2.0)
+    assert CUP.load(pull(-14.0)) == 0.0  # pressed on
+    shear = np.array([0, 0, 0, 0.6, 0.8, 0]) * 0.5 * 14.0
+    assert CUP.load(shear) == pytest.approx(1.0)
+    twist = np.array([0, 0, 0.015 * 0.5 * 14.0, 0, 0, 0])
+    assert CUP.load(twist) == pytest.approx(1.0)
+    bend = np.array([0.6, 0.8, 0, 0, 0, 0]) * np.pi * 0.015 * 2.2
+    assert CUP.load(bend) == pytest.approx(1.0)
+    # What is pressed on does not slide; what is half pulled off slides sooner.
+    assert CUP.load(shear + pull(-7.0)) < 1.0 < CUP.load(shear + pull(7.0))
+
+
+def test_without_vacuum_it_bears_no_pull() -> None:
+    assert CUP.load(pull(0.01), vacuum=0.0) == np.inf
+    assert CUP.load(pull(-0.01), vacuum=0.0) == 0.0
+
+
+@given(wrenches, wrenches, st.floats(0, 5), st.floats(0.01, 1))
+def test_the_load_is_the_gauge_of_a_convex_set(
+    a: np.ndarray, b: np.ndarray, factor: float, vacuum: float
+) -> None:
+    load = CUP.load(a, vacuum)
+    assert CUP.load(factor * a, vacuum) == pytest.approx(
+        factor * load, abs=1e-9
+    )
+    both = load + CUP.load(b, vacuum)
+    assert CUP.load(a + b, vacuum) <= both + 1e-9
+
+
+@given(vectors, vectors)
+def test_what_planning_promises_is_held(
+    lever: np.ndarray, gravity: np.ndarray
+) -> None:
+    """Planning linearises the same limits from inside (Dex-Net 3.0)."""
+    assume(np.linalg.norm(gravity) > 0.1)
+    gravity = gravity / np.linalg.norm(gravity)
+    lever = 0.05 * lever
+    weight = float(
+        suction_holding_force(
+            lever,
+            gravity,
+            friction=CUP.friction,
+            vacuum_force=CUP.vacuum_force,
+            cup_radius=CUP.radius,
+            elasticity=CUP.elasticity,
+        )
+    )
+    # The cup answers the weight; z goes into the object, so it pulls by −z.
+    held = -weight * np.concatenate([np.cross(lever, gravity), gravity])
+    assert CUP.load(held) <= 1.0 + 1e-9
+
+
+@given(masses, vectors, wrenches)
+def test_the_mobility_is_that_of_a_free_body(
+    mass: float, lever: np.ndarray, wrench: np.ndarray
+) -> None:
+    lever = 0.05 * lever
+    inertia = inertia_of(mass)
+    W = point_mobility(mass, inertia, lever)
+    np.testing.assert_allclose(W, W.T, rtol=1e-9, atol=1e-9 * np.abs(W).max())
+    torque, force = wrench[:3], wrench[3:]
+    alpha = np.linalg.solve(inertia, torque + np.cross(lever, force))
+    expected = force / mass + np.cross(alpha, lever)
+    np.testing.assert_allclose(
+        W @ wrench,
+        [*alpha, *expected],
+        rtol=1e-6,
+        atol=1e-9 * np.abs(W).max(),
+    )
+
+
+@settings(deadline=None, max_examples=50)
+@given(masses, vectors, vectors, vectors)
+def test_a_body_on_the_cup_does_not_gain_energy(
+    mass: float, lever: np.ndarray, turn: np.ndarray, shift: np.ndarray
+) -> None:
+    """Stepped as the plant does: new velocities, then positions by them."""
+    inertia = inertia_of(mass)
+    W = point_mobility(mass, inertia, 0.03 * lever)
+    M = np.linalg.inv(W)
+    K, C = CUP.stiffness, CUP.damping
+    x, v = np.concatenate([0.3 * turn, 0.01 * shift]), np.zeros(6)
+    energy = [0.5 * (x @ (K * x))]
+    for _ in range(60):
+        v = v + STEP * W @ implicit_wrench(K, C, W, x, v, np.zeros(6), STEP)
+        x = x + STEP * v
+        energy.append(0.5 * (x @ (K * x) + v @ M @ v))
+    assert np.all(np.diff(energy) <= 1e-9 * energy[0] + 1e-15)
+    assert energy[-1] <= 0.7 * energy[0] + 1e-15
+
+
+def body(
+    mass: float,
+    x: np.ndarray,
+    v: np.ndarray,
+    *,
+    R_WC: np.ndarray | None = None,
+) -> HeldBody:
+    return HeldBody(
+        mass=mass,
+        inertia=inertia_of(mass),
+        lever=np.zeros(3),
+        R_WC=np.diag([1.0, -1.0, -1.0]) if R_WC is None else R_WC,
+        deflection=x,
+        velocity=v,
+        cup_velocity=np.zeros(6),
+    )
+
+
+SEALED = CupState(object="plate", drawing=True, vacuum=1.0)
+GRAVITY = np.array([0, 0, 0, 0, 0, -9.81])
+
+
+@settings(deadline=None, max_examples=20)
+@given(masses)
+def test_it_bears_the_weight_of_a_free_body(mass: float) -> None:
+    state, x, v = SEALED, np.zeros(6), np.zeros(6)
+    W = point_mobility(mass, inertia_of(mass), np.zeros(3))
+    for _ in range(200):
+        state = hold(CUP, state, body(mass, x, v), STEP)
+        v = v + STEP * (GRAVITY + W @ state.wrench)
+        x = x + STEP * v
+    assert state.object == "plate"
+    np.testing.assert_allclose(
+        state.wrench[5], 9.81 * mass, rtol=1e-3, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        x[5], -9.81 * mass / CUP.stiffness[5], rtol=1e-2, atol=1e-9
+    )
+    assert state.load == pytest.approx(9.81 * mass / 14.0, rel=1e-2)
+
+
+@pytest.mark.parametrize("mass", [0.003, 0.3])
+def test_on_a_body_that_is_stuck_it_pulls_like_a_spring(mass: float) -> None:
+    state, x = SEALED, np.array([0, 0, 0, 0, 0, -0.004])
+    for _ in range(400):
+        state = hold(CUP, state, body(mass, x, np.zeros(6)), STEP)
+    assert state.wrench[5] == pytest.approx(0.004 * 1750.0, rel=1e-2)
+    assert state.object == "plate"
+
+
+def test_too_much_for_long_ends_the_seal() -> None:
+    x = np.array([0, 0, 0, 0, 0, -0.010])  # of which 8 mm is the most
+    state, steps = SEALED, 0
+    while state.object:
+        state = hold(CUP, state, body(0.3, x, np.zeros(6)), STEP)
+        assert np.abs(state.wrench).max() <= 14.0 + 1e-9  # it cannot do more
+        steps += 1
+        assert steps < 100
+    assert steps * STEP == pytest.approx(CUP.config.leak_time, abs=2 * STEP)
+    assert state.lost == "it is pulled off"
+    assert state.drawing
+    assert state.flow == 1.0
+
+
+def test_a_jerk_does_not() -> None:
+    far, near = np.zeros(6), np.zeros(6)
+    far[5] = -0.010
+    state = SEALED
+    for x in [far] * 5 + [near] * 5 + [far] * 5 + [near] * 20:
+        state = hold(CUP, state, body(0.3, x, np.zeros(6)), STEP)
+    assert state.object == "plate"
+    assert state.overloaded == 0.0
+
+
+@pytest.mark.parametrize(
+    ("deflection", "why"),
+    [
+        ([0, 0, 0, 0.006, 0, 0], "it slides off"),
+        ([0, 0, 0.5, 0, 0, 0], "it slides off"),
+        ([0.8, 0, 0, 0, 0, 0], "the lip bends off"),
+    ],
+)
+def test_it_says_why_it_let_go(deflection: list[float], why: str) -> None:
+    state = SEALED
+    while state.object:
+        state = hold(
+            CUP, state, body(0.3, np.array(deflection), np.zeros(6)), STEP
+        )
+    assert state.lost == why
+
+
+def test_the_vacuum_takes_its_time() -> None:
+    state = CupState(object="plate", drawing=True)
+    vacuum = []
+    for _ in range(40):
+        state = hold(CUP, state, body(0.1, np.zeros(6), np.zeros(6)), STEP)
+        vacuum.append(state.vacuum)
+    assert 0.05 < vacuum[0] < 0.2
+    assert np.all(np.diff(vacuum) > 0)
+    assert vacuum[9] == pytest.approx(1 - np.exp(-1.0))  # evacuation_time
+    assert vacuum[-1] > 0.95
+    assert state.flow == pytest.approx(1 - state.vacuum)
+
+
+@given(st.integers(0, 2**31))
+def test_directions_do_not_matter(seed: int) -> None:
+    """The same in other axes: the law has no preferred direction."""
+    rng = np.random.default_rng(seed)
+    turn = Rotation.random(random_state=seed % 1000).as_matrix()
+    x, v = rng.normal(size=6) * 1e-3, rng.normal(size=6) * 0.1
+    plain = body(0.05, x, v, R_WC=np.eye(3))
+    other = HeldBody(
+        mass=plain.mass,
+        inertia=turn @ plain.inertia @ turn.T,
+        lever=plain.lever,
+        R_WC=turn,
+        deflection=np.concatenate([turn @ x[:3], turn @ x[3:]]),
+        velocity=np.concatenate([turn @ v[:3], turn @ v[3:]]),
+        cup_velocity=plain.cup_velocity,
+    )
+    a, b = (hold(CUP, SEALED, held, STEP).wrench for held in (plain, other))
+    np.testing.assert_allclose(
+        np.concatenate([turn @ a[:3], turn @ a[3:]]), b, atol=1e-9
+    )
+
+
+def test_an_open_cup() -> None:
+    state = CupState()
+    assert open_cup(state, suction=False) is state
+    assert state.flow == 0.0
+    drawing = open_cup(state, suction=True)
+    assert drawing.flow == 1.0
+    assert open_cup(drawing, suction=True) is drawing
+    let_go = open_cup(SEALED, suction=False)
+    assert (let_go.object, let_go.vacuum, let_go.lost) == ("", 0.0, "")
+
+
+def test_stiffness_comes_from_the_bellows() -> None:
+    soft = Cup(bellows_travel=0.008, config=SuctionConfig(damping_time=0.02))
+    np.testing.assert_allclose(soft.stiffness, 0.5 * CUP.stiffness)
+    np.testing.assert_allclose(soft.damping, CUP.damping)
+    assert CUP.stiffness[5] * 2 * 0.004 == pytest.approx(14.0)
+
+
+def test_a_deflection() -> None:
+    X_WC, X_WL = np.eye(4), np.eye(4)
+    X_WC[:3, :3] = Rotation.from_euler("x", 0.3).as_matrix()
+    X_WL[:3, :3] = Rotation.from_euler("x", 0.5).as_matrix()
+    X_WL[:3, 3] = 0.0, 0.001, 0.002
+    np.testing.assert_allclose(
+        deflection_of(X_WC, X_WL), [0.2, 0, 0, 0, 0.001, 0.002], atol=1e-12
+    )

@@ -1,0 +1,370 @@
+"""The gripper's model file, and how it behaves in a plant."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import (
+    ExternallyAppliedSpatialForce,
+    MultibodyPlant,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+
+from xray_drake.grasping.gripper_geometry import (
+    GripperParameters,
+    load_gripper_geometry,
+)
+from xray_drake.gripper.grip_surfaces import PAD, add_grip_surfaces
+from xray_drake.gripper.yumi import FINGER_JOINTS, HOME, add_gripper
+from xray_drake.resources import models_dir
+from xray_drake.scene.cameras import add_camera
+from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.plant import (
+    add_bin,
+    add_object,
+    add_plant,
+    default_plant_config,
+)
+from xray_drake.scene.shapes import box
+from xray_drake.scene.targets import target_model
+from xray_drake.station.scenario import nominal_camera
+
+STEP = 0.005
+
+
+class Cell:
+    """The gripper over the bin, its desired state given by hand."""
+
+    def __init__(self, *models: ObjectModel, camera: bool = False) -> None:
+        builder = DiagramBuilder()
+        self.plant: MultibodyPlant
+        self.scene_graph: SceneGraph
+        self.plant, self.scene_graph = add_plant(
+            builder, default_plant_config()
+        )
+        add_bin(self.plant)
+        self.gripper = add_gripper(self.plant)
+        self.items = {}
+        for model in models:
+            item = add_object(self.plant, model)
+            height = model.extents[2] / 2
+            item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
+            self.items[model.name] = item
+        add_grip_surfaces(
+            self.plant, self.scene_graph, self.gripper, self.items.values()
+        )
+        self.plant.Finalize()
+        if camera:
+            sensor, _ = add_camera(builder, self.scene_graph, nominal_camera())
+            builder.ExportOutput(sensor.label_image_output_port(), "label")
+        plant = self.plant
+        for name, instance in (
+            ("wrist", self.gripper.wrist_instance),
+            ("fingers", self.gripper.finger_instance),
+        ):
+            builder.ExportInput(
+                plant.get_desired_state_input_port(instance), name
+            )
+            builder.ExportOutput(
+                plant.get_net_actuation_output_port(instance), f"{name}_effort"
+            )
+        builder.ExportInput(
+            plant.get_applied_spatial_force_input_port(), "force"
+        )
+        self.diagram: Diagram = builder.Build()
+        self.simulator = Simulator(self.diagram)
+        self.context: Context = self.simulator.get_mutable_context()
+        self.q = self.gripper.home
+        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
+        self.fix("fingers", np.zeros(4))
+
+    def fix(self, port: str, value: np.ndarray) -> None:
+        self.diagram.GetInputPort(port).FixValue(self.context, value)
+
+    def at(self, X_WJ: np.ndarray) -> None:
+        """Puts the jaw at a pose, at once."""
+        gripper = self.gripper
+        self.q = gripper.wrist.joints(
+            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.home
+        )
+        self.plant.SetPositions(
+            self.plant.GetMyMutableContextFromRoot(self.context),
+            gripper.wrist_instance,
+            self.q,
+        )
+        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
+
+    def advance(self, time: float) -> None:
+        self.simulator.AdvanceTo(self.context.get_time() + time)
+
+    def close(self, force: float) -> None:
+        """Closes within a second, with a force that never gets larger."""
+        gripper, finger = self.gripper, 0.0
+        lead = force / gripper.finger_stiffness
+        for _ in range(200):
+            finger = min(
+                finger + gripper.finger_speed * STEP,
+                float(self.fingers.mean()) + lead,
+            )
+            self.fix("fingers", np.array([finger, finger, 0, 0]))
+            self.advance(STEP)
+
+    def lift(self, way: float = 0.08, duration: float = 0.5) -> None:
+        start, begin = self.q[2], self.context.get_time()
+        while (elapsed := self.context.get_time() - begin) < duration:
+            s = elapsed / duration
+            v = np.zeros(6)
+            v[2] = way * 30 * s**2 * (1 - s) ** 2 / duration
+            self.q = np.array(self.q)
+            self.q[2] = start + way * (10 * s**3 - 15 * s**4 + 6 * s**5)
+            self.fix("wrist", np.concatenate([self.q, v]))
+            self.advance(STEP)
+        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
+        self.advance(0.2)
+
+    @property
+    def plant_context(self) -> Context:
+        return self.plant.GetMyContextFromRoot(self.context)
+
+    @property
+    def fingers(self) -> np.ndarray:
+        return self.plant.GetPositions(
+            self.plant_context, self.gripper.finger_instance
+        )
+
+    @property
+    def wrist(self) -> np.ndarray:
+        return self.plant.GetPositions(
+            self.plant_context, self.gripper.wrist_instance
+        )
+
+    def effort(self, part: str) -> np.ndarray:
+        return self.diagram.GetOutputPort(f"{part}_effort").Eval(self.context)
+
+    def height(self, name: str) -> float:
+        body = self.items[name].body
+        pose = self.plant.EvalBodyPoseInWorld(self.plant_context, body)
+        return float(pose.translation()[2])
+
+
+@pytest.fixture(scope="module")
+def alone() -> Cell:
+    return Cell()
+
+
+def jaw_at(z: float) -> np.ndarray:
+    X_WJ = np.diag([1.0, -1.0, -1.0, 1.0])
+    X_WJ[:3, 3] = 0.05, 0.02, z
+    return X_WJ
+
+
+def brick(mass: float) -> ObjectModel:
+    size = (0.03, 0.03, 0.03)
+    return object_from_pieces(
+        "brick", list(box(*size).surfaces), density=mass / np.prod(size)
+    )
+
+
+def test_it_is_the_gripper_that_planning_knows() -> None:
+    old = MultibodyPlant(0.0)
+    Parser(old).AddModels(models_dir() / "gripper" / "gripper.sdf")
+    new = MultibodyPlant(0.0)
+    Parser(new).AddModels(models_dir() / "gripper" / "yumi_gripper.sdf")
+    for plant in (old, new):
+        plant.WeldFrames(
+            plant.world_frame(), plant.GetFrameByName("gripper_base")
+        )
+        plant.Finalize()
+    a, b = old.CreateDefaultContext(), new.CreateDefaultContext()
+    assert new.CalcTotalMass(b) == pytest.approx(old.CalcTotalMass(a))
+    np.testing.assert_allclose(
+        new.CalcCenterOfMassPositionInWorld(b),
+        old.CalcCenterOfMassPositionInWorld(a),
+    )
+    for name in ("jaw", "cup", "left_finger", "right_finger"):
+        np.testing.assert_allclose(
+            new.GetFrameByName(name).CalcPoseInWorld(b).GetAsMatrix4(),
+            old.GetFrameByName(name).CalcPoseInWorld(a).GetAsMatrix4(),
+            atol=1e-12,
+        )
+    parameters = GripperParameters()
+    for name in FINGER_JOINTS:
+        for plant in (old, new):
+            joint = plant.GetJointByName(name)
+            np.testing.assert_allclose(joint.position_upper_limits(), 0.025)
+            actuator = plant.GetJointActuatorByName(name)
+            assert actuator.effort_limit() == parameters.force
+
+
+def outlines(cell: Cell) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
+    """Lower and upper corners of all collision shapes, in the base frame."""
+    inspector = cell.scene_graph.model_inspector()
+    plant, base = cell.plant, cell.gripper.base
+    context = plant.CreateDefaultContext()
+    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for index in plant.GetBodyIndices(cell.gripper.finger_instance):
+        body = plant.get_body(index)
+        X_BL = base.EvalPoseInWorld(context).inverse() @ body.EvalPoseInWorld(
+            context
+        )
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            shape = inspector.GetShape(geometry)
+            X_BS = X_BL @ inspector.GetPoseInFrame(geometry)
+            half = {
+                "Box": lambda s: 0.5 * np.array(s.size()),
+                "Sphere": lambda s: np.full(3, s.radius()),
+                "Cylinder": lambda s: np.array(
+                    [s.radius(), s.radius(), 0.5 * s.length()]
+                ),
+            }[type(shape).__name__](shape)
+            extent = np.abs(X_BS.rotation().matrix()) @ half
+            p = X_BS.translation()
+            found.setdefault(body.name(), []).append((p - extent, p + extent))
+    return found
+
+
+def test_it_touches_nothing_that_planning_would_not(alone: Cell) -> None:
+    geometry = load_gripper_geometry()
+    for name, boxes in outlines(alone).items():
+        closing = {"left_finger": -1, "right_finger": 1}.get(name, 0)
+        own = geometry.closing == closing
+        for low, high in boxes:
+            inside = (low >= geometry.lower[own] - 1e-9).all(axis=1) & (
+                high <= geometry.upper[own] + 1e-9
+            ).all(axis=1)
+            assert inside.any(), name
+        # And the outline is the same, but for the bellows.
+        low = np.min([box[0] for box in boxes], axis=0)
+        high = np.max([box[1] for box in boxes], axis=0)
+        np.testing.assert_allclose(
+            low, geometry.lower[own].min(axis=0), atol=1e-9
+        )
+        bellows = [0.009, 0, 0] if closing == 0 else np.zeros(3)
+        np.testing.assert_allclose(
+            high, geometry.upper[own].max(axis=0) - bellows, atol=1e-9
+        )
+
+
+def test_pads_are_where_and_as_large_as_planning_has_them(alone: Cell) -> None:
+    inspector = alone.scene_graph.model_inspector()
+    parameters = GripperParameters()
+    gap = []
+    for name, side in (("left_finger", 1), ("right_finger", -1)):
+        body = alone.plant.GetBodyByName(name)
+        shapes = {
+            inspector.GetName(geometry).split("::")[-1]: geometry
+            for geometry in alone.plant.GetCollisionGeometriesForBody(body)
+        }
+        pad = inspector.GetShape(shapes[PAD])
+        width, _, height = pad.size()
+        assert (width, height) == (parameters.pad_width, parameters.pad_height)
+        front = [
+            side * inspector.GetPoseInFrame(shapes[kind]).translation()[1]
+            - inspector.GetShape(shapes[kind]).size()[1] / 2
+            for kind in (PAD, "finger")
+        ]
+        assert front[1] - front[0] == pytest.approx(0.001)
+        gap.append(0.029 + front[0])  # where the finger stands when open
+        properties = inspector.GetProximityProperties(shapes[PAD])
+        assert properties.HasProperty("hydroelastic", "hydroelastic_modulus")
+    assert sum(gap) == pytest.approx(parameters.opening)
+
+
+def test_typed_access(alone: Cell) -> None:
+    gripper, plant = alone.gripper, alone.plant
+    geometry = load_gripper_geometry()
+    np.testing.assert_allclose(gripper.X_BJ, geometry.X_BJ, atol=1e-12)
+    np.testing.assert_allclose(gripper.X_BC, geometry.X_BC, atol=1e-12)
+    np.testing.assert_allclose(
+        gripper.wrist.pose(gripper.home) @ gripper.X_BJ, HOME, atol=1e-9
+    )
+    context = plant.CreateDefaultContext()
+    np.testing.assert_allclose(
+        gripper.base.EvalPoseInWorld(context).GetAsMatrix4(),
+        gripper.wrist.pose(gripper.home),
+        atol=1e-9,
+    )
+    assert gripper.finger_force == 20.0
+    assert gripper.finger_travel == 0.025
+    assert gripper.finger_speed == 0.025
+    np.testing.assert_allclose(gripper.wrist.velocity[:3], 1.5)
+    np.testing.assert_allclose(gripper.wrist.acceleration[:3], 11.0)
+
+
+def test_it_stays_where_it_is() -> None:
+    cell = Cell()
+    cell.advance(0.3)
+    np.testing.assert_allclose(cell.wrist, cell.gripper.home, atol=1e-6)
+    np.testing.assert_allclose(cell.fingers, 0, atol=1e-6)
+
+
+def test_at_home_the_camera_does_not_see_it() -> None:
+    cell = Cell(camera=True)
+    hand = cell.plant.GetBodyIndices(cell.gripper.finger_instance)
+    arm = cell.plant.GetBodyIndices(cell.gripper.wrist_instance)
+    labels = [int(index) for index in [*hand, *arm]]
+    port = cell.diagram.GetOutputPort("label")
+    assert not np.isin(port.Eval(cell.context).data, labels).any()
+    cell.at(jaw_at(0.1))
+    assert np.isin(port.Eval(cell.context).data, labels).any()
+
+
+def test_its_fingers_are_one() -> None:
+    """What pushes on one moves both."""
+    cell = Cell()
+    cell.fix("fingers", np.array([0.01, 0.01, 0, 0]))
+    cell.advance(0.3)
+    np.testing.assert_allclose(cell.fingers, 0.01, atol=1e-5)
+    push = ExternallyAppliedSpatialForce()
+    body = cell.plant.GetBodyByName("left_finger")
+    push.body_index = body.index()
+    push.F_Bq_W = SpatialForce(tau=np.zeros(3), f=[0, 8.0, 0])
+    cell.diagram.GetInputPort("force").FixValue(cell.context, [push])
+    cell.advance(0.3)
+    np.testing.assert_allclose(
+        np.abs(cell.fingers - 0.01), 8.0 / (2 * 2000.0), rtol=0.05
+    )
+    assert cell.fingers[0] == pytest.approx(cell.fingers[1], abs=1e-5)
+
+
+def test_its_forces_are_limited() -> None:
+    cell = Cell(brick(0.2))
+    cell.at(jaw_at(0.02))
+    cell.fix("fingers", np.array([0.5, 0.5, 0, 0]))
+    cell.fix("wrist", np.concatenate([cell.q + [0, 0, -0.5, 0, 0, 0], [0] * 6]))
+    cell.advance(0.3)
+    assert np.abs(cell.effort("fingers")).max() <= 20.0 + 1e-6
+    assert cell.effort("wrist")[2] == pytest.approx(-60.0)
+    assert cell.wrist[2] > cell.q[2] - 0.025  # the floor is in the way
+
+
+@pytest.mark.parametrize(
+    ("force", "mass", "holds"),
+    [(20.0, 0.3, True), (3.5, 0.3, True), (2.4, 0.3, False)],
+)
+def test_what_friction_can_hold(force: float, mass: float, holds: bool) -> None:
+    """Two pads of friction ½ hold as much as each squeezes: 2.94 N here."""
+    cell = Cell(brick(mass))
+    cell.at(jaw_at(0.015))
+    cell.close(force)
+    assert np.abs(cell.effort("fingers")).max() <= force + 0.1
+    start = cell.height("brick")
+    cell.lift()
+    lifted = cell.height("brick") - start
+    if holds:
+        assert lifted == pytest.approx(0.08, abs=0.003)
+    else:
+        assert lifted < 0.06
+
+
+def test_it_lifts_the_thin_target_with_full_force() -> None:
+    cell = Cell(target_model("box_2to1"))
+    cell.at(jaw_at(0.0035))
+    cell.close(20.0)
+    assert 0.05 - cell.fingers.sum() == pytest.approx(0.0212, abs=5e-4)
+    start = cell.height("box_2to1")
+    cell.lift()
+    assert cell.height("box_2to1") - start == pytest.approx(0.08, abs=1e-3)

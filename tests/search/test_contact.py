@@ -1,0 +1,229 @@
+"""Searches that are executed by contact."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import Context, EventStatus
+
+from tests.search.test_rollout import TARGET, Sleepers, Watcher
+from xray_drake.messages import GripperMode, Outcome
+from xray_drake.scene.heap import Heap
+from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin, inside_tote
+from xray_drake.search.diagram import SearchDiagram, build_search_diagram
+from xray_drake.search.monitor import judge_outcome
+from xray_drake.search.rollout import run_search
+from xray_drake.station.scenario import Scenario
+
+
+def by_contact(scenario: Scenario) -> Scenario:
+    scenario.gripper.execution = "contact"
+    return scenario
+
+
+class Passing(Sleepers):
+    """Notes as well where the target is while it passes the bin's wall."""
+
+    def __init__(self, diagram: SearchDiagram, watcher: Watcher) -> None:
+        self.over_wall: list[np.ndarray] = []
+        self._poses = diagram.GetOutputPort("cheat.body_poses")
+        self._label = diagram.station.labels[TARGET]
+        super().__init__(diagram, limit=120.0, observers=(watcher,))
+
+    def _watch(self, root: Context) -> EventStatus:
+        X_WT = self._poses.Eval(root)[self._label].GetAsMatrix4()
+        if 0.24 < X_WT[0, 3] < 0.28:
+            self.over_wall.append(X_WT)
+        return super()._watch(root)
+
+
+@pytest.fixture(scope="module")
+def diagram(tiny_heap: Heap) -> SearchDiagram:
+    scenario = by_contact(Scenario(name="tiny", seed=7))
+    scenario.policy.target_first = False
+    return build_search_diagram(scenario, heap=tiny_heap)
+
+
+@pytest.fixture(scope="module")
+def watcher() -> Watcher:
+    return Watcher()
+
+
+@pytest.fixture(scope="module")
+def found(diagram: SearchDiagram, watcher: Watcher) -> Passing:
+    return Passing(diagram, watcher)
+
+
+def test_the_target_is_brought_to_the_tote(
+    found: Passing, watcher: Watcher
+) -> None:
+    record = found.record
+    assert record.end == "success"
+    assert record.execution == "contact"
+    last = record.actions[-1]
+    assert (last.object, last.outcome) == (TARGET, Outcome.LIFTED)
+    assert last.lifted == (TARGET,)
+    assert inside_tote(watcher.poses[-1][TARGET][:3, 3])
+    taken = {name for action in record.actions for name in action.lifted}
+    assert "book" in taken
+    for name, X_WO in watcher.poses[-1].items():
+        place = inside_tote if name in taken else inside_bin
+        assert place(X_WO[:3, 3]), name
+
+
+def test_an_action_is_short(found: Passing) -> None:
+    for action in found.record.actions:
+        assert 3.0 < action.duration <= 15.0
+
+
+def test_pictures_are_of_a_heap_at_rest(
+    found: Passing, watcher: Watcher, tiny_heap: Heap
+) -> None:
+    everything = {model.name for model in tiny_heap.models}
+    for (what, _), locked in zip(watcher.told, watcher.locked, strict=True):
+        assert what == "ended" or locked == everything
+    # From the end of an action to the next decision nothing moves.
+    ends, decisions = watcher.poses[1:-1:2], watcher.poses[2::2]
+    assert len(ends) == len(decisions) > 0
+    for before, after in zip(ends, decisions, strict=True):
+        for name, X_WO in after.items():
+            np.testing.assert_allclose(X_WO, before[name], atol=1e-3)
+
+
+def test_what_is_far_from_the_gripper_sleeps(
+    found: Passing, tiny_heap: Heap
+) -> None:
+    everything = {model.name for model in tiny_heap.models}
+    books = [
+        (status, everything - asleep)
+        for status, asleep in found.seen
+        if status.number == 1 and status.mode is GripperMode.BUSY
+    ]
+    assert found.record.actions[0].object == "book"
+    assert books[0][1] == set()
+    held = [awake for status, awake in books if status.held]
+    assert held
+    assert all("book" in awake for awake in held)
+    # What lay under the book is awake when it goes; the bystanders never are.
+    assert any({"pad", TARGET} <= awake for awake in held)
+    assert all(not {"block", "plank"} & awake for _, awake in books)
+    # On the way to the tote all but the book sleep.
+    assert {"book"} in held
+    assert books[-1][1] == set()
+
+
+def test_it_is_clear_of_the_walls_when_it_passes_them(
+    found: Passing, tiny_heap: Heap
+) -> None:
+    target = tiny_heap.target.visual.vertices
+    lowest = [
+        (target @ X_WT[2, :3]).min() + X_WT[2, 3] for X_WT in found.over_wall
+    ]
+    assert lowest
+    assert min(lowest) > BIN_WALL_HEIGHT + 0.05
+
+
+def test_a_cup_that_does_not_seal_fails(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    scenario = by_contact(tiny_scenario)
+    scenario.horizon = 1
+    scenario.gripper.contact.seal_timeout = 0.0
+    watcher = Watcher()
+    record = run_search(
+        build_search_diagram(scenario, heap=tiny_heap), observers=(watcher,)
+    )
+    assert record.end == "horizon"
+    (action,) = record.actions
+    assert (action.object, action.outcome) == ("book", Outcome.FAILED)
+    assert action.reason == "the cup does not seal"
+    assert action.lifted == ()
+    for name, X_WO in tiny_heap.poses.items():
+        np.testing.assert_allclose(
+            watcher.poses[-1][name][:3, 3], X_WO[:3, 3], atol=2e-3
+        )
+
+
+def test_what_is_dropped_over_the_bin_is_still_there(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    scenario = by_contact(tiny_scenario)
+    scenario.horizon = 1
+    scenario.gripper.contact.lost = 2.0  # no vacuum is enough
+    watcher = Watcher()
+    record = run_search(
+        build_search_diagram(scenario, heap=tiny_heap), observers=(watcher,)
+    )
+    assert record.end == "horizon"
+    (action,) = record.actions
+    assert (action.outcome, action.lifted) == (Outcome.SLIPPED, ())
+    assert action.reason == "the vacuum is gone"
+    assert inside_bin(watcher.poses[-1]["book"][:3, 3])
+
+
+def test_what_was_meant_may_be_unknown() -> None:
+    assert judge_outcome(Outcome.FAILED, "felt", "", {"pad"}) == (
+        Outcome.LIFTED,
+        "",
+    )
+    assert judge_outcome(Outcome.FAILED, "felt", "", set()) == (
+        Outcome.FAILED,
+        "felt",
+    )
+
+
+@pytest.mark.parametrize(
+    ("felt", "brought", "outcome", "said"),
+    [
+        (Outcome.LIFTED, {"book"}, Outcome.LIFTED, ""),
+        (Outcome.LIFTED, {"book", "pad"}, Outcome.LIFTED, ""),
+        (Outcome.LIFTED, {"pad"}, Outcome.LIFTED, "pad in place of book"),
+        (Outcome.LIFTED, set(), Outcome.SLIPPED, "unnoticed"),
+        (Outcome.SLIPPED, {"book"}, Outcome.LIFTED, ""),
+        (Outcome.SLIPPED, set(), Outcome.SLIPPED, "felt"),
+        (Outcome.FAILED, set(), Outcome.FAILED, "felt"),
+        (Outcome.NO_GRASP, set(), Outcome.NO_GRASP, "felt"),
+    ],
+)
+def test_what_counts_is_what_lies_in_the_tote(
+    felt: Outcome, brought: set[str], outcome: Outcome, said: str
+) -> None:
+    reason = "" if felt is Outcome.LIFTED else "felt"
+    found, why = judge_outcome(felt, reason, "book", brought)
+    assert found is outcome
+    assert said in why
+    assert bool(why) == bool(said)
+
+
+def test_ports_by_contact(diagram: SearchDiagram) -> None:
+    ports = {
+        diagram.get_output_port(i).get_name()
+        for i in range(diagram.num_output_ports())
+    }
+    assert ports >= {
+        "gripper_controller.status",
+        "suction_cup.state",
+        "rest_sensor.at_rest",
+        "wrist.state",
+        "fingers.state",
+    }
+    station = diagram.GetSubsystemByName("heap_station")
+    assert {
+        station.get_input_port(i).get_name()
+        for i in range(station.num_input_ports())
+    } == {
+        "applied_spatial_force",
+        "wrist.desired_state",
+        "fingers.desired_state",
+    }
+
+
+def test_the_camera_does_not_see_the_gripper_at_home(
+    diagram: SearchDiagram, tiny_diagram: SearchDiagram
+) -> None:
+    depths = [
+        d.GetOutputPort("overhead.depth_image")
+        .Eval(d.CreateDefaultContext())
+        .data
+        for d in (diagram, tiny_diagram)
+    ]
+    # Rendered among other triangles, a pixel may differ by a last digit.
+    np.testing.assert_allclose(*depths, atol=1e-6)

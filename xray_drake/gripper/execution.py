@@ -1,0 +1,571 @@
+"""How a grasp is carried out by contact: a state machine that feels."""
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from xray_drake.gripper.paths import Leg, Path, make_path, stay
+from xray_drake.gripper.quasi_static import TOTE_SLOTS
+from xray_drake.gripper.suction import CupState
+from xray_drake.gripper.wrist import ReachError, Wrist
+from xray_drake.gripper.yumi import YumiGripper
+from xray_drake.messages import (
+    Grasp,
+    GraspKind,
+    GripperMode,
+    GripperStatus,
+    Message,
+    Outcome,
+    SearchAction,
+)
+from xray_drake.scene.plant import TOTE_POSITION
+
+_UP = 2
+"""Index of the vertical slide among the wrist's joints."""
+
+
+@dataclass
+class ExecutionConfig:
+    """How grasps are carried out by contact."""
+
+    # The tool's origin goes no faster than this, m/s, m/s².
+    speed: float = 0.8
+    acceleration: float = 4.0
+    # Up with what has been gripped, and down with it, m/s.
+    lift_speed: float = 0.3
+    # Down to the object; and over the last stretch of it, m/s, m/s, m.
+    approach_speed: float = 0.15
+    touch_speed: float = 0.03
+    touch_distance: float = 0.015
+    # The last straight part of the approach, that planning found free, m.
+    approach_distance: float = 0.10
+    # Height of the flange on the way to the bin, to the tote and back, m.
+    transit_height: float = 0.46
+    # The jaw opens so much wider than the object, to each side, m.
+    clearance: float = 0.005
+    # Contact is felt where the wrist is pushed back with this force, N.
+    contact_force: float = 3.0
+    # If it is felt, the grasp is tried if this little was left to go, m.
+    max_retreat: float = 0.006
+    # The cup is pressed on by as much, unless it seals before, m.
+    cup_overtravel: float = 0.006
+    # A jaw that is closed to less than this holds nothing, m.
+    empty_width: float = 0.0005
+    # Vacuum at which the cup has sealed, and at which it has let go, as a share
+    # of the full one.
+    sealed: float = 0.9
+    lost: float = 0.5
+    # The jaw must stop, or the cup seal, within this time, s.
+    close_timeout: float = 3.0
+    seal_timeout: float = 0.4
+    # The object is released this far over the height that it was gripped at, m.
+    release_height: float = 0.01
+    # Time to look whether the object is held, and to let it go, s.
+    check_time: float = 0.5
+    release_time: float = 0.25
+    # At the end it waits for the cell to be at rest, at least and at most, s.
+    settle_time: float = 0.3
+    settle_timeout: float = 3.0
+    # The wrist is stuck where it lags so far behind, m.
+    stuck_distance: float = 0.015
+    # The whole action takes no longer than this, s.
+    give_up: float = 20.0
+
+
+class Phase(Enum):
+    """What the gripper is about."""
+
+    IDLE = "idle"
+    APPROACH = "approach"
+    DESCEND = "descend"
+    CLOSE = "close"
+    SEAL = "seal"
+    LIFT = "lift"
+    CHECK = "check"
+    CARRY = "carry"
+    LOWER = "lower"
+    RELEASE = "release"
+    ABORT = "abort"
+    HOME = "home"
+    SETTLE = "settle"
+
+
+_TOUCHING = (Phase.DESCEND, Phase.CLOSE, Phase.SEAL)
+_HOLDING = (Phase.LIFT, Phase.CHECK, Phase.CARRY, Phase.LOWER)
+_GIVING_UP = (Phase.IDLE, Phase.ABORT, Phase.HOME, Phase.SETTLE)
+
+
+@dataclass(frozen=True, eq=False)
+class Senses:
+    """What a gripper feels of itself.
+
+    Attributes:
+        time: s.
+        joints: (6,) positions of the wrist.
+        desired: (6,) positions that it should have by now.
+        finger: position of the fingers, 0 open, m.
+        cup: the suction cup; of it only vacuum and, to say why, ``lost``.
+        at_rest: nothing moves in the cell.
+    """
+
+    time: float
+    joints: np.ndarray
+    desired: np.ndarray
+    finger: float
+    cup: CupState
+    at_rest: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(Message):
+    """The state of the machine.
+
+    Attributes:
+        phase: what it is about.
+        path: of the wrist.
+        action: last taken up.
+        since: when the phase began, s.
+        began: when the action began, s.
+        outcome: of the action, as far as it is known.
+        reason: for a failure.
+        goal: (6,) joint positions of the grasp.
+        finger: position commanded to the fingers, m.
+        finger_rate: its rate, m/s.
+        finger_target: where it goes, m; beyond ``closed`` for a squeeze.
+        still: position at which the fingers were last seen to move, m.
+        still_since: when, s.
+        suction: air is drawn.
+        carried: objects brought to the tote.
+    """
+
+    phase: Phase
+    path: Path
+    action: SearchAction = field(default_factory=SearchAction)
+    since: float = 0.0
+    began: float = 0.0
+    outcome: Outcome = Outcome.NONE
+    reason: str = ""
+    goal: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    finger: float = 0.0
+    finger_rate: float = 0.0
+    finger_target: float = 0.0
+    still: float = 0.0
+    still_since: float = 0.0
+    suction: bool = False
+    carried: int = 0
+
+
+class GraspExecution:
+    """Carries out one grasp after the other.
+
+    Idle; approach (to above the grasp, the fingers opening); descend (straight,
+    guarded: it stops when it touches); close or seal; lift; check; carry;
+    lower (guarded, too); release; home; settle. Where something fails, abort:
+    back the way it came, and home. What it knows of the world is what
+    :class:`Senses` has.
+    """
+
+    def __init__(
+        self,
+        gripper: YumiGripper,
+        config: ExecutionConfig | None = None,
+        *,
+        force: float = 20.0,
+    ) -> None:
+        """Builds the machine.
+
+        Args:
+            gripper: limits and frames; the plant is not touched.
+            config: how it moves and when it gives up.
+            force: squeeze of each finger, N; no more than it can.
+        """
+        self._gripper = gripper
+        self._config = config or ExecutionConfig()
+        self._force = min(force, gripper.finger_force)
+        wrist = gripper.wrist
+        slides = np.arange(6) < 3
+        limit = np.where(slides, self._config.acceleration, np.inf)
+        self._wrist: Wrist = replace(
+            wrist, acceleration=np.minimum(wrist.acceleration, limit)
+        )
+        self._X_GB = {
+            GraspKind.JAW: np.linalg.inv(gripper.X_BJ),
+            GraspKind.SUCTION: np.linalg.inv(gripper.X_BC),
+        }
+
+    def rest(self) -> Motion:
+        """Returns the machine at home."""
+        return Motion(Phase.IDLE, stay(self._gripper.home, 0.0, 0.01))
+
+    def status(self, motion: Motion) -> GripperStatus:
+        """Returns what the policy and the monitor are told."""
+        phase = motion.phase
+        idle = phase is Phase.IDLE
+        failed = motion.outcome in (Outcome.FAILED, Outcome.SLIPPED)
+        resting = phase is Phase.CHECK or (phase is Phase.SETTLE and failed)
+        stirring = (
+            phase in (*_TOUCHING, Phase.LIFT, Phase.ABORT)
+            or resting
+            or (phase is Phase.HOME and failed)
+        )
+        name = motion.action.grasp.object
+        away = idle or phase is Phase.APPROACH
+        return GripperStatus(
+            mode=GripperMode.IDLE if idle else GripperMode.BUSY,
+            number=motion.action.number,
+            outcome=motion.outcome if idle else Outcome.NONE,
+            reason=motion.reason if idle else "",
+            held=name if phase in _HOLDING else "",
+            stirring=stirring,
+            settling=resting,
+            loose=() if away else (name,),
+        )
+
+    def begin(
+        self, motion: Motion, action: SearchAction, senses: Senses
+    ) -> Motion:
+        """Takes up an action."""
+        motion = replace(
+            motion,
+            action=action,
+            began=senses.time,
+            outcome=Outcome.NONE,
+            reason="",
+        )
+        grasp = action.grasp
+        if not grasp:
+            return replace(
+                motion,
+                outcome=Outcome.NO_GRASP,
+                reason="no candidate has a grasp",
+            )
+        home = self._gripper.home
+        try:
+            goal = self._joints(grasp, 0.0)
+            over = self._joints(grasp, -self._config.approach_distance)
+        except ReachError as error:
+            return replace(motion, outcome=Outcome.FAILED, reason=str(error))
+        over[_UP] = self._config.transit_height
+        rise = np.array(home)
+        rise[_UP] = self._config.transit_height
+        motion = self._go(
+            motion,
+            Phase.APPROACH,
+            [Leg(rise), Leg(over, self._config.speed)],
+            senses,
+            start=motion.path.end,
+        )
+        travel = self._gripper.finger_travel
+        opening = grasp.width + 2 * self._config.clearance
+        target = travel
+        if grasp.kind is GraspKind.JAW:
+            target = max(travel - 0.5 * opening, 0.0)
+        return replace(motion, goal=goal, finger_target=target)
+
+    def advance(self, motion: Motion, senses: Senses, elapsed: float) -> Motion:
+        """Returns the machine a moment later.
+
+        Args:
+            motion: before.
+            senses: now.
+            elapsed: since the last call, s.
+        """
+        motion = self._move_fingers(motion, senses, elapsed)
+        phase = motion.phase
+        if phase is Phase.IDLE:
+            return motion
+        if phase not in _GIVING_UP:
+            trouble = self._trouble(motion, senses)
+            if trouble and phase is Phase.LOWER:  # It fell into the tote.
+                return self._set_down(motion, senses)
+            if trouble:
+                return self._abort(motion, senses, trouble)
+        step = {
+            Phase.APPROACH: self._approach,
+            Phase.DESCEND: self._descend,
+            Phase.CLOSE: self._close,
+            Phase.SEAL: self._seal,
+            Phase.LIFT: self._lift,
+            Phase.CHECK: self._check,
+            Phase.CARRY: self._carry,
+            Phase.LOWER: self._lower,
+            Phase.RELEASE: self._release,
+            Phase.ABORT: self._retreat,
+            Phase.HOME: self._home,
+            Phase.SETTLE: self._settle,
+        }[phase]
+        return step(motion, senses)
+
+    # What it feels.
+
+    def width(self, senses: Senses) -> float:
+        """Returns the distance of the pads, m."""
+        return 2.0 * (self._gripper.finger_travel - senses.finger)
+
+    def felt(self, motion: Motion, senses: Senses) -> float:
+        """Returns the force against the way the tool goes, N."""
+        lag = senses.desired - senses.joints
+        force = (self._wrist.stiffness * lag)[:3]
+        return float(force @ self._direction(motion))
+
+    def _direction(self, motion: Motion) -> np.ndarray:
+        if motion.phase is Phase.LOWER:
+            return np.array([0.0, 0.0, -1.0])
+        return motion.action.grasp.X_WG[:3, 2]
+
+    def _trouble(self, motion: Motion, senses: Senses) -> str:
+        """Returns why the action cannot go on, or nothing."""
+        if senses.time - motion.began > self._config.give_up:
+            return f"gave up after {self._config.give_up:g} s"
+        lag = np.linalg.norm((senses.desired - senses.joints)[:3])
+        if lag > self._config.stuck_distance:
+            return "the wrist is stuck"
+        if motion.phase not in _HOLDING:
+            return ""
+        if motion.action.grasp.kind is GraspKind.SUCTION:
+            if senses.cup.vacuum < self._config.lost:
+                return senses.cup.lost or "the vacuum is gone"
+        elif self.width(senses) < self._config.empty_width:
+            return "it slipped out of the jaw"
+        return ""
+
+    # What it does.
+
+    def _joints(self, grasp: Grasp, advance: float) -> np.ndarray:
+        """Returns the (6,) joints at a grasp, or before or beyond it (m)."""
+        X_WG = np.array(grasp.X_WG)
+        X_WG[:3, 3] += advance * X_WG[:3, 2]
+        return self._wrist.joints(
+            X_WG @ self._X_GB[grasp.kind], near=self._gripper.home
+        )
+
+    def _go(
+        self,
+        motion: Motion,
+        phase: Phase,
+        legs: list[Leg],
+        senses: Senses,
+        *,
+        start: np.ndarray,
+    ) -> Motion:
+        path = make_path(start, legs, senses.time, wrist=self._wrist)
+        return replace(motion, phase=phase, path=path, since=senses.time)
+
+    def _wait(self, motion: Motion, phase: Phase, senses: Senses) -> Motion:
+        """Stops where the wrist is."""
+        return replace(
+            motion,
+            phase=phase,
+            path=stay(senses.joints, senses.time, 0.01),
+            since=senses.time,
+            still=senses.finger,
+            still_since=senses.time,
+        )
+
+    def _over(self, motion: Motion, senses: Senses) -> bool:
+        return senses.time >= motion.path.end_time
+
+    def _move_fingers(
+        self, motion: Motion, senses: Senses, elapsed: float
+    ) -> Motion:
+        gripper = self._gripper
+        step = gripper.finger_speed * elapsed
+        lead = self._force / gripper.finger_stiffness
+        to = min(motion.finger_target, senses.finger + lead)
+        change = float(np.clip(to - motion.finger, -step, step))
+        finger = motion.finger + change
+        rate = change / elapsed if abs(change) > 0.99 * step else 0.0
+        if finger == motion.finger and rate == motion.finger_rate:
+            return motion
+        return replace(motion, finger=finger, finger_rate=rate)
+
+    def _approach(self, motion: Motion, senses: Senses) -> Motion:
+        ready = abs(senses.finger - motion.finger_target) < 0.001
+        if not (self._over(motion, senses) and ready):
+            return motion
+        config, grasp = self._config, motion.action.grasp
+        suction = grasp.kind is GraspKind.SUCTION
+        end = self._joints(grasp, config.cup_overtravel) if suction else None
+        legs = [
+            Leg(self._joints(grasp, -config.approach_distance), config.speed),
+            Leg(
+                self._joints(grasp, -config.touch_distance),
+                config.approach_speed,
+            ),
+            Leg(motion.goal if end is None else end, config.touch_speed),
+        ]
+        motion = replace(motion, suction=suction)
+        return self._go(
+            motion, Phase.DESCEND, legs, senses, start=motion.path.end
+        )
+
+    def _descend(self, motion: Motion, senses: Senses) -> Motion:
+        suction = motion.action.grasp.kind is GraspKind.SUCTION
+        following = Phase.SEAL if suction else Phase.CLOSE
+        if suction and senses.cup.vacuum > 0.0:
+            return self._wait(motion, following, senses)
+        if self._over(motion, senses):
+            return self._wait(motion, following, senses)
+        if self.felt(motion, senses) < self._config.contact_force:
+            return motion
+        way = (motion.goal - senses.joints)[:3] @ self._direction(motion)
+        if way > self._config.max_retreat:
+            return self._abort(
+                motion, senses, f"stopped {1e3 * way:.0f} mm before the grasp"
+            )
+        return self._wait(motion, following, senses)
+
+    def _close(self, motion: Motion, senses: Senses) -> Motion:
+        travel = self._gripper.finger_travel
+        if motion.finger_target < 2 * travel:
+            return replace(motion, finger_target=np.inf)
+        if self.width(senses) < self._config.empty_width:
+            return self._abort(motion, senses, "the jaw closed on nothing")
+        if abs(senses.finger - motion.still) > 2e-4:
+            motion = replace(
+                motion, still=senses.finger, still_since=senses.time
+            )
+        squeeze = motion.finger - senses.finger
+        full = 0.8 * self._force / self._gripper.finger_stiffness
+        if senses.time - motion.still_since > 0.1 and squeeze > full:
+            return self._raise(motion, senses)
+        if senses.time - motion.since > self._config.close_timeout:
+            return self._abort(motion, senses, "the jaw does not come to rest")
+        return motion
+
+    def _seal(self, motion: Motion, senses: Senses) -> Motion:
+        if senses.cup.vacuum > self._config.sealed:
+            return self._raise(motion, senses)
+        if senses.time - motion.since > self._config.seal_timeout:
+            return self._abort(
+                motion, senses, senses.cup.lost or "the cup does not seal"
+            )
+        return motion
+
+    def _raise(self, motion: Motion, senses: Senses) -> Motion:
+        top = np.array(motion.path.end)
+        top[_UP] = max(self._config.transit_height, top[_UP])
+        return self._go(
+            motion,
+            Phase.LIFT,
+            [Leg(top, self._config.lift_speed)],
+            senses,
+            start=motion.path.end,
+        )
+
+    def _lift(self, motion: Motion, senses: Senses) -> Motion:
+        if not self._over(motion, senses):
+            return motion
+        return replace(motion, phase=Phase.CHECK, since=senses.time)
+
+    def _check(self, motion: Motion, senses: Senses) -> Motion:
+        if senses.time - motion.since < self._config.check_time:
+            return motion
+        slot = TOTE_SLOTS[motion.carried % len(TOTE_SLOTS)]
+        to = np.array(motion.path.end)
+        X_WT = self._wrist.pose(to)
+        X_TG = np.linalg.inv(self._X_GB[motion.action.grasp.kind])
+        place = np.array(TOTE_POSITION[:2]) + slot
+        to[:2] += place - (X_WT @ X_TG)[:2, 3]
+        to[:2] = np.clip(to[:2], self._wrist.lower[:2], self._wrist.upper[:2])
+        return self._go(
+            motion,
+            Phase.CARRY,
+            [Leg(to, self._config.speed)],
+            senses,
+            start=motion.path.end,
+        )
+
+    def _carry(self, motion: Motion, senses: Senses) -> Motion:
+        if not self._over(motion, senses):
+            return motion
+        to = np.array(motion.path.end)
+        to[_UP] = min(to[_UP], motion.goal[_UP] + self._config.release_height)
+        return self._go(
+            motion,
+            Phase.LOWER,
+            [Leg(to, self._config.lift_speed)],
+            senses,
+            start=motion.path.end,
+        )
+
+    def _lower(self, motion: Motion, senses: Senses) -> Motion:
+        felt = self.felt(motion, senses) > self._config.contact_force
+        if felt or self._over(motion, senses):
+            return self._set_down(motion, senses)
+        return motion
+
+    def _set_down(self, motion: Motion, senses: Senses) -> Motion:
+        motion = self._wait(motion, Phase.RELEASE, senses)
+        jaw = motion.action.grasp.kind is GraspKind.JAW
+        return replace(
+            motion,
+            suction=False,
+            finger_target=0.0 if jaw else motion.finger_target,
+            outcome=Outcome.LIFTED,
+            carried=motion.carried + 1,
+        )
+
+    def _release(self, motion: Motion, senses: Senses) -> Motion:
+        if senses.time - motion.since < self._config.release_time:
+            return motion
+        return self._homeward(motion, senses)
+
+    def _abort(self, motion: Motion, senses: Senses, reason: str) -> Motion:
+        """Goes back the way it came, if it is still down, and gives up."""
+        holding = motion.phase in _HOLDING
+        legs = []
+        if motion.phase in _TOUCHING:
+            back = self._joints(
+                motion.action.grasp, -self._config.approach_distance
+            )
+            back[_UP] = max(back[_UP], senses.joints[_UP])
+            legs.append(Leg(back, self._config.lift_speed))
+        else:
+            legs.append(Leg(senses.joints, self._config.lift_speed))
+        motion = self._go(
+            motion, Phase.ABORT, legs, senses, start=senses.joints
+        )
+        return replace(
+            motion,
+            outcome=Outcome.SLIPPED if holding else Outcome.FAILED,
+            reason=reason,
+            suction=False,
+            finger_target=0.0 if holding else senses.finger,
+        )
+
+    def _retreat(self, motion: Motion, senses: Senses) -> Motion:
+        if not self._over(motion, senses):
+            return motion
+        return self._homeward(motion, senses)
+
+    def _homeward(self, motion: Motion, senses: Senses) -> Motion:
+        start, home = motion.path.end, self._gripper.home
+        up, across = np.array(start), np.array(home)
+        up[_UP] = max(self._config.transit_height, up[_UP])
+        across[_UP] = up[_UP]
+        speed = self._config.speed
+        return self._go(
+            motion,
+            Phase.HOME,
+            [Leg(up, speed), Leg(across, speed), Leg(home, speed)],
+            senses,
+            start=start,
+        )
+
+    def _home(self, motion: Motion, senses: Senses) -> Motion:
+        if motion.finger_target != 0.0 and (
+            senses.joints[_UP] > self._config.transit_height - 0.01
+        ):
+            motion = replace(motion, finger_target=0.0)
+        if not self._over(motion, senses):
+            return motion
+        return replace(motion, phase=Phase.SETTLE, since=senses.time)
+
+    def _settle(self, motion: Motion, senses: Senses) -> Motion:
+        waited = senses.time - motion.since
+        rests = senses.at_rest and waited >= self._config.settle_time
+        if not rests and waited < self._config.settle_timeout:
+            return motion
+        return replace(motion, phase=Phase.IDLE, since=senses.time)

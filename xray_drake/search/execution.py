@@ -1,0 +1,158 @@
+"""Adds the gripper that a scenario chooses to a search."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydrake.systems.framework import DiagramBuilder, System
+
+from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.gripper.controller import GripperController
+from xray_drake.gripper.quasi_static import (
+    DrawnGripper,
+    Judge,
+    QuasiStaticGripper,
+)
+from xray_drake.gripper.rest_sensor import RestSensor
+from xray_drake.gripper.suction import Cup
+from xray_drake.gripper.suction_cup import SuctionCup
+from xray_drake.gripper.yumi import YumiGripper
+from xray_drake.scene.heap import Heap
+from xray_drake.station.heap_station import StationParts
+from xray_drake.station.scenario import Scenario
+
+_Wire = tuple[System, str, System, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """What carries out actions, wired to the station.
+
+    Attributes:
+        controller: has the input ``action`` and the output ``status``.
+        boxes: all systems that were added.
+    """
+
+    controller: System
+    boxes: list[System]
+
+
+def add_execution(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: System,
+    parts: StationParts,
+    heap: Heap,
+    judge: Judge,
+) -> Execution:
+    """Adds ``gripper_controller``, by contact with all that it feels with.
+
+    By contact there are ``suction_cup`` and ``rest_sensor`` as well. Whatever
+    the execution, the rest of the diagram sees ``action`` and ``status`` alone.
+
+    Args:
+        builder: holds the station already.
+        scenario: says which.
+        station: of the scenario.
+        parts: its inside.
+        heap: what lies in the bin.
+        judge: says whether a grasp of the ideal gripper holds.
+    """
+    bodies = {
+        name: int(item.body.index()) for name, item in parts.objects.items()
+    }
+    if parts.gripper is None:
+        execution, wires = _quasi_static(
+            builder, scenario, station, heap, bodies, judge
+        )
+    else:
+        execution, wires = _contact(
+            builder, scenario, station, heap, bodies, parts.gripper
+        )
+    for source, output, drain, port in wires:
+        builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
+    return execution
+
+
+def _quasi_static(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: System,
+    heap: Heap,
+    bodies: Mapping[str, int],
+    judge: Judge,
+) -> tuple[Execution, list[_Wire]]:
+    geometry = load_gripper_geometry()
+    controller = builder.AddSystem(
+        QuasiStaticGripper(
+            judge=judge,
+            objects=heap.models,
+            bodies=bodies,
+            drawn=DrawnGripper(
+                X_BJ=geometry.X_BJ,
+                X_BC=geometry.X_BC,
+                opening=scenario.gripper.parameters.opening,
+            ),
+            config=scenario.gripper.quasi_static,
+            seed=scenario.seed,
+            time_step=scenario.plant_config.time_step,
+        )
+    )
+    velocities = "body_spatial_velocities"
+    return Execution(controller, [controller]), [
+        (station, "cheat.body_poses", controller, "body_poses"),
+        (station, f"cheat.{velocities}", controller, velocities),
+        (controller, "applied_spatial_force", station, "applied_spatial_force"),
+        (controller, "position", station, "gripper.position"),
+    ]
+
+
+def _contact(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: System,
+    heap: Heap,
+    bodies: Mapping[str, int],
+    gripper: YumiGripper,
+) -> tuple[Execution, list[_Wire]]:
+    config, parameters = scenario.gripper, scenario.gripper.parameters
+    time_step = scenario.plant_config.time_step
+    controller = builder.AddSystem(
+        GripperController(
+            gripper=gripper,
+            config=config.contact,
+            force=parameters.force,
+            time_step=time_step,
+        )
+    )
+    cup = builder.AddSystem(
+        SuctionCup(
+            objects=heap.models,
+            bodies=bodies,
+            gripper=int(gripper.base.index()),
+            X_BC=gripper.X_BC,
+            cup=Cup(
+                radius=parameters.cup_radius,
+                vacuum_force=parameters.vacuum_force,
+                friction=parameters.friction,
+                elasticity=parameters.cup_elasticity,
+                bellows_travel=parameters.bellows_travel,
+                config=config.suction,
+            ),
+            time_step=time_step,
+        )
+    )
+    rest = builder.AddSystem(RestSensor(objects=heap.models, bodies=bodies))
+    velocities = "body_spatial_velocities"
+    return Execution(controller, [controller, cup, rest]), [
+        (station, "wrist.state", controller, "wrist_state"),
+        (station, "fingers.state", controller, "finger_state"),
+        (cup, "state", controller, "cup_state"),
+        (rest, "at_rest", controller, "at_rest"),
+        (controller, "wrist_desired_state", station, "wrist.desired_state"),
+        (controller, "finger_desired_state", station, "fingers.desired_state"),
+        (controller, "suction", cup, "suction"),
+        (station, "cheat.body_poses", cup, "body_poses"),
+        (station, f"cheat.{velocities}", cup, velocities),
+        (cup, "applied_spatial_force", station, "applied_spatial_force"),
+        (station, "cheat.body_poses", rest, "body_poses"),
+    ]
