@@ -146,7 +146,7 @@ def test_excluded_grasps_are_not_returned(planner):
         )
         assert grasp
         assert not any(
-            same_grasp(old, grasp.kind, grasp.X_WG, position=0.005, angle=0.175)
+            same_grasp(old, grasp.kind, grasp.X_WG, position=0.010, angle=0.5)
             for old in excluded
         )
         excluded.append(grasp)

@@ -89,10 +89,11 @@ def test_what_failed_is_not_tried_again_while_nothing_moves(
     poses = [action.grasp.X_WG for action in record.actions]
     for i, X in enumerate(poses):
         for Y in poses[:i]:
-            apart = np.linalg.norm(X[:3, 3] - Y[:3, 3]) > config.same_position
+            way = np.linalg.norm(X[:3, 3] - Y[:3, 3])
+            apart = way > config.excluded_position
             turn = np.arccos(np.clip(X[:3, 2] @ Y[:3, 2], -1, 1))
             across = np.arccos(min(1.0, abs(X[:3, 1] @ Y[:3, 1])))
-            assert apart or max(turn, across) > 0.5 * config.same_angle
+            assert apart or max(turn, across) > 0.5 * config.excluded_angle
 
 
 def test_the_same_scenario_gives_the_same_search(

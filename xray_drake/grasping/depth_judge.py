@@ -111,9 +111,16 @@ class DepthJudge:
         floor = self._rules.floor_retreat(X_WG, opening)
         floor = np.maximum(floor, -overtravel)
         room = np.full(len(X_WG), -1.0)
-        stop = np.zeros(len(X_WG))
+        stop = np.full(len(X_WG), longest)
+        # Where the tips hit something even there, they do farther on, too.
+        able = np.flatnonzero(floor <= longest)
+        able = able[
+            self._space.tips_are_free(
+                GraspKind.JAW, _moved(X_WG[able], -stop[able]), opening[able]
+            )
+        ]
         for share in _STOPS:
-            todo = np.flatnonzero((room < 0) & (floor <= longest))
+            todo = able[room[able] < 0]
             stop[todo] = floor[todo] + share * (longest - floor[todo])
             room[todo] = self._space.room(
                 GraspKind.JAW, _moved(X_WG[todo], -stop[todo]), opening[todo]

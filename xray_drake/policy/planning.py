@@ -14,8 +14,9 @@ from xray_drake.policy.removal import Removal
 PLACE_RADIUS = 0.04
 """What is seen this near to a grasp, across the view, is its place, m."""
 
-PLACE_CHANGE = 0.005
-"""A reading that differs by more has changed, m."""
+PLACE_CHANGE = 0.003
+"""A reading that differs by more has changed, m: more than a sensor's noise,
+less than the thinnest target."""
 
 PLACE_SHARE = 0.05
 """A place has changed if this share of it has: a square of 16 mm."""

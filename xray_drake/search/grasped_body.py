@@ -47,19 +47,22 @@ def body_under_grasp(
     if not grasp:
         return ""
     R, p = grasp.X_WG[:3, :3], grasp.X_WG[:3, 3]
-    x, y, z = np.moveaxis((camera.unproject(depth) - p) @ R, -1, 0)
-    with np.errstate(invalid="ignore"):  # no reading
-        if grasp.kind is GraspKind.JAW:
-            there = (
-                (np.abs(x) <= 0.5 * parameters.pad_width + _SLACK)
-                & (np.abs(y) <= 0.5 * grasp.width + _SLACK)
-                & (z <= 0.5 * parameters.pad_height)
-            )
-        else:
-            reach = parameters.bellows_travel + _SLACK
-            there = (np.hypot(x, y) <= parameters.cup_radius) & (
-                np.abs(z) <= reach
-            )
+    read = np.isfinite(depth)
+    points = camera.unproject(np.where(read, depth, 0.0))
+    x, y, z = np.moveaxis((points - p) @ R, -1, 0)
+    if grasp.kind is GraspKind.JAW:
+        there = (
+            read
+            & (np.abs(x) <= 0.5 * parameters.pad_width + _SLACK)
+            & (np.abs(y) <= 0.5 * grasp.width + _SLACK)
+            & (z <= 0.5 * parameters.pad_height)
+        )
+    else:
+        there = (
+            read
+            & (np.hypot(x, y) <= parameters.cup_radius)
+            & (np.abs(z) <= parameters.bellows_travel + _SLACK)
+        )
     counts = {
         name: int(np.count_nonzero(there & (labels == label)))
         for name, label in names.items()
