@@ -157,7 +157,10 @@ def build_search_diagram(
             SearchMemory(
                 memory=TargetMemory(
                     target.extents,
-                    MemoryConfig(floor=scenario.perception.exact.floor),
+                    MemoryConfig(
+                        floor=scenario.perception.exact.floor,
+                        names_last=scenario.perception.segmenter != "depth",
+                    ),
                 ),
                 width=camera.width,
                 height=camera.height,
