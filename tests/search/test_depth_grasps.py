@@ -107,3 +107,35 @@ def test_the_same_scenario_gives_the_same_search(
         for _ in range(2)
     )
     assert first == second
+
+
+@pytest.mark.parametrize("policy", ["combined", "oracle", "random"])
+def test_every_kind_of_policy_plans_from_depth(
+    blind_scenario: Scenario, tiny_heap: Heap, policy: str
+) -> None:
+    """With memory and outlook, with truth, and with neither."""
+    blind_scenario.policy.name = policy
+    blind_scenario.horizon = 2
+    record = run_search(build_search_diagram(blind_scenario, heap=tiny_heap))
+    assert record.actions
+    for action in record.actions:
+        assert action.grasp
+        assert action.object in {TARGET, *record.objects}
+
+
+def test_planning_sees_what_the_camera_sees(
+    blind_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    """Not what the memory makes of it, which the inference sees."""
+    blind_scenario.policy.name = "combined"
+    diagram = build_search_diagram(blind_scenario, heap=tiny_heap)
+    policy = diagram.GetSubsystemByName("search_policy")
+    for source, port in (
+        ("depth_sensor", "seen_depth_image"),
+        ("search_memory", "depth_image"),
+    ):
+        assert diagram.AreConnected(
+            diagram.GetSubsystemByName(source).GetOutputPort("depth_image"),
+            policy.GetInputPort(port),
+        )
+    assert not policy.HasInputPort("body_poses")
