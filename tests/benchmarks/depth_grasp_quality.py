@@ -22,13 +22,13 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from xray_drake.dataset.augmentation import DepthNoise
 from xray_drake.dataset.images import LabelledImages
 from xray_drake.dataset.pictures import Photographer, Picture
 from xray_drake.grasping.depth_planner import DepthGraspPlanner
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.messages import Grasp, GraspKind
+from xray_drake.perception.depth_noise import DepthNoise
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.object_model import ObjectModel

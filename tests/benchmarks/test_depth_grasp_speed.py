@@ -1,9 +1,10 @@
-"""Time of planning one grasp from a 512×384 depth image.
+"""Time of one grasp from a 512×384 depth image; at most 150 ms on one core.
 
     OMP_NUM_THREADS=1 pytest tests/benchmarks/test_depth_grasp_speed.py \
         -o addopts="--import-mode=importlib" --benchmark-only
 """
 
+import time
 from collections.abc import Iterator
 
 import cv2
@@ -15,6 +16,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from tests.grasping.depth_scenes import at, block, clutter, see
 from tests.occupancy.scenes import CAMERAS
 from xray_drake.grasping.depth_planner import DepthGraspPlanner
+
+# Time of the one thread's core, lest other processes on it count.
+pytestmark = pytest.mark.benchmark(timer=time.process_time)
 
 CAMERA = CAMERAS["tilted"]
 

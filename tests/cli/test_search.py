@@ -98,6 +98,7 @@ def complaint(*arguments: object) -> str:
         ("--occupancy", "magic", ["perception.occupancy", "magic", "exact"]),
         ("--detector", "magic", ["perception.detector", "magic"]),
         ("--segmenter", "magic", ["perception.segmenter", "magic"]),
+        ("--segmenter", "depth", ["segmenter is depth", "grasps: depth"]),
         ("--scenario", "dmeo", ["dmeo", "demo"]),
         ("--scenario", "no/such.yaml", ["no/such.yaml"]),
     ],

@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -146,7 +147,7 @@ def test_excluded_grasps_are_not_returned(planner):
         )
         assert grasp
         assert not any(
-            same_grasp(old, grasp.kind, grasp.X_WG, position=0.005, angle=0.175)
+            same_grasp(old, grasp.kind, grasp.X_WG, position=0.010, angle=0.5)
             for old in excluded
         )
         excluded.append(grasp)
@@ -257,6 +258,20 @@ def test_lost_readings_cost_no_grasp(planner):
     grasp = planner.plan("it", mask, depth, CAMERA)
     assert grasp.kind is GraspKind.JAW
     assert min(abs(grasp.width - side) for side in FLAT[:2]) < 0.004
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mask_that_misses_its_border_costs_no_grasp(planner, seed):
+    """Half of its outermost pixels, as colours mixed at an edge do."""
+    rng = np.random.default_rng(seed)
+    yaw = rng.uniform(0, 6)
+    depth, mask = see(CAMERA, block(FLAT, at(0.02, 0, 0.0025, yaw=yaw)))
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    missed = mask & ~inner & (rng.random(mask.shape) < 0.5)
+    whole = planner.plan("it", mask, depth, CAMERA)
+    grasp = planner.plan("it", mask & ~missed, depth, CAMERA)
+    assert grasp.kind is whole.kind is GraspKind.JAW
+    assert grasp.quality > 0.6 * whole.quality
 
 
 def test_a_heavier_guess_lowers_the_quality(planner):

@@ -275,3 +275,21 @@ def test_the_inference_excludes_what_is_remembered() -> None:
     assert seen[moved].mean() > 0.9
     assert not known[moved].any()
     np.testing.assert_array_equal(known[~moved], seen[~moved])
+
+
+def test_names_that_do_not_last_are_not_needed() -> None:
+    """What stays is known by its place, whatever it is called."""
+    after = CUP.moved(0, 3)
+    named = remember(look([CUP, BOOK]), look([after, BOOK]))
+    swapped = [
+        replace(BOOK, name="segment_0"),
+        replace(after, name="segment_1"),
+    ]
+    first = [replace(CUP, name="segment_0"), replace(BOOK, name="segment_1")]
+    by_place = remember(
+        look(first), look(swapped), config=MemoryConfig(names_last=False)
+    )
+    assert named.recalled.any()
+    np.testing.assert_array_equal(by_place.recalled, named.recalled)
+    mistaken = remember(look(first), look(swapped))
+    assert mistaken.recalled.sum() < named.recalled.sum()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.policy.blocks import SCALE, Block, look
-from xray_drake.policy.shifts import Look, Shift, shifts_seen
+from xray_drake.policy.shifts import Look, Shift, renamed, shifts_seen
 
 CUP = Block("cup", 40, 50, 9, 14)
 
@@ -84,3 +84,26 @@ def test_what_has_no_reading_has_not_moved(nothing: float) -> None:
     depth[CUP.mask] = nothing
     after = Look(depth, before.target, before.instances)
     assert shifts(before, after) == shifts(after, before) == []
+
+
+def test_instances_are_known_by_their_places() -> None:
+    book, pen = Block("b", 60, 20, 20, 20), Block("p", 10, 100, 4, 12)
+    before = look([CUP, book, pen]).instances
+    after = look(
+        [
+            Block("segment_0", 62, 23, 20, 20),  # the book, a little on
+            Block("segment_1", 40, 50, 9, 14),  # the cup
+            Block("segment_2", 10, 108, 4, 12),  # the pen, two thirds on
+        ]
+    ).instances
+    named = renamed(before, after)
+    assert named.names == ("b", "cup", "new segment_2")
+    np.testing.assert_array_equal(named.labels, after.labels)
+    assert renamed(before, after, gone="b").names[0] == "new segment_0"
+
+
+def test_a_part_is_not_the_whole() -> None:
+    halves = [Block(n, 40, c, 9, 7) for n, c in (("l", 50), ("r", 57))]
+    before, after = look([CUP]).instances, look(halves).instances
+    assert renamed(before, after).names == ("new l", "new r")
+    assert renamed(after, before).names == ("new cup",)

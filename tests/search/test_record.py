@@ -24,7 +24,13 @@ GRASP_KEYS = {"kind", "X_WG", "width", "quality"}
 """As DESIGN.md has them."""
 
 OUR_RECORD_KEYS = {"start", "target_first"}
-OUR_ACTION_KEYS = {"reason", "true_mask_in_support", "lifted", "duration"}
+OUR_ACTION_KEYS = {
+    "reason",
+    "true_mask_in_support",
+    "lifted",
+    "duration",
+    "segment",
+}
 """Beyond those; documented in the classes."""
 
 
@@ -47,6 +53,7 @@ def jaw_action(
         target_visible_fraction=0.123456,
         true_mask_in_support=0.97,
         seconds={"occupancy": 0.0301234, "planning": 0.2},
+        segment="segment_3",
     )
 
 
@@ -95,6 +102,7 @@ def test_values_of_the_record() -> None:
     assert (first["support_before"], first["support_after"]) == (700, 300)
     assert (first["support_01_before"], first["support_01_after"]) == (600, 200)
     assert first["true_mask_in_support"] == 0.97
+    assert (first["object"], first["segment"]) == ("book", "segment_3")
     assert first["seconds"]["planning"] == 0.2
 
 

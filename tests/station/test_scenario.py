@@ -58,6 +58,22 @@ def test_table_2_is_as_the_protocol_says() -> None:
     assert table2.policy.target_first
 
 
+def test_table_3_is_as_the_protocol_says() -> None:
+    table3 = load_scenario("table3")
+    assert table3.scene.target == "box_2to1"
+    assert table3.scene.num_objects == 24
+    assert table3.scene.heap.arrangement == "dump"
+    assert (table3.scene.split, table3.scene.most_visible) == ("test", 0.9)
+    assert table3.perception.detector == "hsv"
+    assert table3.perception.segmenter == "depth"
+    assert table3.perception.noise
+    assert table3.gripper.grasps == "depth"
+    assert table3.horizon == 10
+    assert table3.policy.target_first
+    table3.scene.target = "domino"
+    check_scenario(table3)
+
+
 @pytest.mark.parametrize("name", scenario_names())
 def test_every_scenario_of_the_package_loads(name: str) -> None:
     scenario = load_scenario(name)
@@ -91,7 +107,9 @@ def test_settings_deep_inside() -> None:
           hsv: {hue_tolerance: 20}
           depth_segmenter: {join: 0.003}
           depth_noise: {sigma: 0.001}
-        gripper: {quasi_static: {perturbation: {position_sigma: 0}}}
+        gripper:
+          quasi_static: {perturbation: {position_sigma: 0}}
+          depth_planner: {density: 700, judgement: {clearance: 0.004}}
         plant_config: {time_step: 0.004}
         """,
         SOURCE,
@@ -110,6 +128,9 @@ def test_settings_deep_inside() -> None:
     assert scenario.perception.depth_noise.sigma == 0.001
     assert scenario.perception.depth_noise.speckle == 0.003
     assert scenario.gripper.quasi_static.perturbation.position_sigma == 0
+    assert scenario.gripper.depth_planner.density == 700
+    assert scenario.gripper.depth_planner.judgement.clearance == 0.004
+    assert scenario.gripper.depth_planner.max_checks == 150
     assert scenario.plant_config.time_step == 0.004
     assert scenario.plant_config.stiction_tolerance == 1e-4
 
@@ -193,7 +214,7 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
         ),
         ("perception: {segmenter: eye}", ["perception.segmenter", "depth"]),
         ("perception: {occupancy: eye}", ["perception.occupancy", "exact"]),
-        ("gripper: {grasps: eye}", ["gripper.grasps", "models"]),
+        ("gripper: {grasps: eye}", ["gripper.grasps", "models, depth"]),
         ("gripper: {execution: eye}", ["gripper.execution", "quasi_static"]),
         ("gripper: {execution: eye}", ["gripper.execution", "contact"]),
         (

@@ -100,7 +100,9 @@ def search(
     segmenter: Annotated[
         str | None, typer.Option(help="ground_truth or depth.")
     ] = None,
-    grasps: Annotated[str | None, typer.Option(help="models.")] = None,
+    grasps: Annotated[
+        str | None, typer.Option(help="models, or depth without any.")
+    ] = None,
     target_first: Annotated[
         bool | None,
         typer.Option(
@@ -208,7 +210,9 @@ def benchmark(
     segmenter: Annotated[
         str | None, typer.Option(help="ground_truth or depth.")
     ] = None,
-    grasps: Annotated[str | None, typer.Option(help="models.")] = None,
+    grasps: Annotated[
+        str | None, typer.Option(help="models, or depth without any.")
+    ] = None,
     resume: Annotated[
         bool,
         typer.Option(

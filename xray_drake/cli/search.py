@@ -67,10 +67,13 @@ class _Narrator:
     def ended(
         self, diagram: SearchDiagram, context: Context, record: ActionRecord
     ) -> None:
-        what = "the target" if record.is_target else record.object
+        found = record.object == diagram.heap.target.name
+        what = "the target" if found else record.object or "nothing"
+        if record.is_target and not found:
+            what += ", taken for the target,"
         how = record.grasp.kind.value if record.grasp else ""
         parts = [f"{record.step:2d}  {record.outcome.value}"]
-        if record.object:
+        if record.grasp:
             parts.append(f"{what} by {how}")
         parts.append(f"target {record.target_visible_fraction:.0%} visible")
         parts.append(f"support {record.support_before} px")

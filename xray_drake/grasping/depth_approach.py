@@ -6,7 +6,8 @@ from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.messages import GraspKind
 
 TIP_SPACING = 0.0028
-"""Distance of the points on fingers, stem and cup, m."""
+"""Distance of the points on what goes among the objects, m: the fingers, or
+stem and cup."""
 
 BODY_SPACING = 0.010
 """Distance of the points on the rest of the gripper, m."""
@@ -63,8 +64,8 @@ class ApproachShape:
     Attributes:
         parts: the points as (points (3, m), side (m,)), float32, in the
             gripper's base frame with the jaw open, m: a few of the gripper's
-            end; all of fingers, stem and cup; the rest. ``side`` is the
-            direction along y in which a point moves when the jaw closes.
+            end; all of the fingers, or of stem and cup; the rest. ``side`` is
+            the direction along y in which a point moves when the jaw closes.
         spacings: distance of the points in each part, m.
     """
 
@@ -96,7 +97,7 @@ class ApproachShape:
         # jaw is closed where the cup comes.
         round_ = gripper.round & (not jaw)
         closing = gripper.closing * jaw
-        slender = (closing != 0) | gripper.round
+        slender = closing != 0 if jaw else gripper.round
         shut = 0.5 * gripper.open_width * np.array([0.0, 1.0, 0.0])
 
         clouds, sides, fine = [], [], []

@@ -27,8 +27,8 @@ keeps the fingertips above it, since the floor is known better than seen."""
 _WALL_MARGIN = 0.002
 """Kept from the bin's walls, beyond whose edges no points need be, m."""
 
-_CHUNK = 16
-"""Poses compared at once, few enough to stay in the processor's cache."""
+_CHUNK = 16_000
+"""Points compared at once, few enough to stay in the processor's cache."""
 
 _IDENTITY = np.eye(4)[:3]
 
@@ -118,6 +118,27 @@ class FreeSpace:
             done = radius
         return images
 
+    def tips_are_free(
+        self, kind: GraspKind, X_WG: np.ndarray, opening: np.ndarray
+    ) -> np.ndarray:
+        """Returns whether a few points at the gripper's end are free, fast.
+
+        Args:
+            kind: jaw or suction.
+            X_WG: (n, 4, 4) poses of the grasp frame in the world.
+            opening: (n,) distances of the pads, m; of no account for suction.
+
+        Returns:
+            (n,) bool.
+        """
+        shape = self._shapes[kind]
+        free = np.zeros(len(X_WG), bool)
+        image = self._images[shape.spacings[0]][0]
+        for part in self._chunks(np.arange(len(X_WG)), shape, 0):
+            pixel, z = self._seen(shape, 0, X_WG[part], opening[part])
+            free[part] = (z < image[pixel]).all(axis=1)
+        return free
+
     def room(
         self, kind: GraspKind, X_WG: np.ndarray, opening: np.ndarray
     ) -> np.ndarray:
@@ -139,13 +160,40 @@ class FreeSpace:
         best = np.full(len(X_WG), len(self._levels))
         for part, spacing in enumerate(shape.spacings):
             alive = np.flatnonzero(best > 0)
-            for start in range(0, len(alive), _CHUNK):
-                chunk = alive[start : start + _CHUNK]
+            for chunk in self._chunks(alive, shape, part):
                 poses = part, X_WG[chunk], opening[chunk]
                 best[chunk] = np.minimum(
                     best[chunk], self._count(shape, spacing, *poses)
                 )
         return np.concatenate([[-1.0], self._levels])[best]
+
+    @staticmethod
+    def _chunks(
+        index: np.ndarray, shape: ApproachShape, part: int
+    ) -> list[np.ndarray]:
+        size = max(1, _CHUNK // shape.parts[part][0].shape[1])
+        return [index[i : i + size] for i in range(0, len(index), size)]
+
+    def _seen(
+        self,
+        shape: ApproachShape,
+        part: int,
+        X_WG: np.ndarray,
+        opening: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns (n, m) pixels, as indices, and z-depths of a part's points.
+
+        What is outside the image has a depth of −inf.
+        """
+        height, width = self._shape
+        uvz = shape.transform(part, self._projection, X_WG, opening)
+        z = uvz[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = np.rint(uvz[:, 0] / z)
+            v = np.rint(uvz[:, 1] / z)
+        seen = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z > 0)
+        pixel = np.where(seen, v * width + u, 0).astype(np.int32)
+        return pixel, np.where(seen, z, -np.inf)
 
     def _count(
         self,
@@ -156,15 +204,7 @@ class FreeSpace:
         opening: np.ndarray,
     ) -> np.ndarray:
         """Returns (n,) how many of the levels a part keeps."""
-        height, width = self._shape
-        uvz = shape.transform(part, self._projection, X_WG, opening)
-        z = uvz[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = np.rint(uvz[:, 0] / z)
-            v = np.rint(uvz[:, 1] / z)
-        seen = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z > 0)
-        pixel = np.where(seen, v * width + u, 0).astype(np.int32)
-        z = np.where(seen, z, -np.inf)
+        pixel, z = self._seen(shape, part, X_WG, opening)
         count = np.full(len(z), len(self._levels))
         for level, image in enumerate(self._images[spacing]):
             alive = np.flatnonzero(count > level)

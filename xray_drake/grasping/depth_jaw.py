@@ -155,7 +155,8 @@ def _planes(
 def _drops(depth: np.ndarray, among: np.ndarray) -> np.ndarray:
     """Returns the (h, w) drop to the deepest of the four neighbours, m."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    return cv2.dilate(np.where(among, depth, -1.0), cross) - depth
+    with np.errstate(invalid="ignore"):  # beyond the scene: inf - inf
+        return cv2.dilate(np.where(among, depth, -1.0), cross) - depth
 
 
 def find_rims(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 from xray_drake.grasping.depth_approach import ApproachShape
@@ -20,6 +21,9 @@ from xray_drake.messages import GraspKind
 
 _STOPS = (0.0, 0.33, 0.67, 1.0)
 """Where the jaw may stop, as shares of how far short it may stay."""
+
+_BORDER_STEP = 0.002
+"""What is nearer to the camera by this than the border is another object, m."""
 
 _LEAST_TOUCH = 0.02
 """Share of a pad that touches at least, however little is seen of the wall."""
@@ -86,7 +90,7 @@ class DepthJudge:
         self._walls, self._normals = wall_points(rims)
         camera = surface.whole_camera
         self._space = FreeSpace(surface.whole, camera, shapes)
-        others = np.where(surface.whole_mask, np.inf, surface.whole)
+        others = np.where(_own_pixels(surface), np.inf, surface.whole)
         self._others = FreeSpace(others, camera, shapes, levels=(0.0,))
         points = surface.object_points
         self.center = points.mean(axis=0)
@@ -111,9 +115,16 @@ class DepthJudge:
         floor = self._rules.floor_retreat(X_WG, opening)
         floor = np.maximum(floor, -overtravel)
         room = np.full(len(X_WG), -1.0)
-        stop = np.zeros(len(X_WG))
+        stop = np.full(len(X_WG), longest)
+        # Where the tips hit something even there, they do farther on, too.
+        able = np.flatnonzero(floor <= longest)
+        able = able[
+            self._space.tips_are_free(
+                GraspKind.JAW, _moved(X_WG[able], -stop[able]), opening[able]
+            )
+        ]
         for share in _STOPS:
-            todo = np.flatnonzero((room < 0) & (floor <= longest))
+            todo = able[room[able] < 0]
             stop[todo] = floor[todo] + share * (longest - floor[todo])
             room[todo] = self._space.room(
                 GraspKind.JAW, _moved(X_WG[todo], -stop[todo]), opening[todo]
@@ -236,6 +247,19 @@ class DepthJudge:
     def _held(self, holding: np.ndarray) -> np.ndarray:
         """Returns 1 − weight / holding force, 0 where that is too small."""
         return np.maximum(0.0, 1 - self.weight / np.maximum(holding, 1e-9))
+
+
+def _own_pixels(surface: DepthSurface) -> np.ndarray:
+    """Returns the (H, W) bool pixels that show the object, or might.
+
+    A mask may miss half a pixel of the object's border, and pads that close on
+    the object come that near. What stands higher beside it is not its border.
+    """
+    mask, depth = surface.whole_mask, surface.whole
+    kernel = np.ones((3, 3), np.uint8)
+    beside = cv2.dilate(mask.astype(np.uint8), kernel) > 0
+    own = np.where(mask, depth, np.inf).astype(np.float32)
+    return beside & (depth > cv2.erode(own, kernel) - _BORDER_STEP)
 
 
 def _volume(surface: DepthSurface) -> float:

@@ -65,9 +65,14 @@ class DepthPlannerConfig:
     finalists: int = 8
     # What a rehearsal perturbs by.
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
-    # An excluded grasp excludes those this near, m and rad.
+    # Grasps are alike if they are this near to each other, m and rad.
     same_position: float = 0.005
     same_angle: float = 0.175
+    # An excluded grasp excludes those this near. It is more than for models,
+    # since what was guessed wrong of the object there, its weight, its middle,
+    # what holds it down, is as wrong a little beside.
+    excluded_position: float = 0.010
+    excluded_angle: float = 0.5
     # How execution is judged.
     judgement: JudgementConfig = field(default_factory=JudgementConfig)
 
@@ -202,7 +207,9 @@ class DepthGraspPlanner:
         for grasp in found:
             if len(chosen) == self.config.finalists:
                 break
-            if not self._is_among(grasp, [*barred, *chosen]):
+            if not self._is_excluded(grasp, barred) and not self._is_among(
+                grasp, chosen
+            ):
                 chosen.append(grasp)
         chosen = self._rehearsed(chosen, judge)
         return sorted(chosen, key=lambda grasp: -grasp.quality)
@@ -294,6 +301,18 @@ class DepthGraspPlanner:
             )
             for i in np.flatnonzero(quality > 0)
         ]
+
+    def _is_excluded(self, grasp: Grasp, excluded: Sequence[Grasp]) -> bool:
+        return any(
+            same_grasp(
+                other,
+                grasp.kind,
+                grasp.X_OG,
+                position=self.config.excluded_position,
+                angle=self.config.excluded_angle,
+            )
+            for other in excluded
+        )
 
     def _is_among(self, grasp: Grasp, others: Sequence[Grasp]) -> bool:
         return any(

@@ -180,11 +180,9 @@ class GraspJudge:
             friction: Coulomb coefficient between pads and object.
             overtravel: how far beyond X_WG the gripper is commanded, m.
         """
-        retreat = self._stop_jaw(X_WG, opening, -overtravel)
-        if retreat is None:
-            return JudgedGrasp(
-                0.0, f"jaw hits {', '.join(self.scene.hit()) or 'floor'}", X_WG
-            )
+        retreat, hit = self._stop_jaw(X_WG, opening, -overtravel)
+        if hit:
+            return JudgedGrasp(0.0, f"jaw hits {hit}", X_WG)
         X_WG = _moved(X_WG, -retreat)
 
         model = self._objects[name]
@@ -227,26 +225,26 @@ class GraspJudge:
 
     def _stop_jaw(
         self, X_WG: np.ndarray, opening: float, start: float
-    ) -> float | None:
-        """Returns how far short of the pose the jaw stops.
+    ) -> tuple[float, str]:
+        """Returns how far short of the pose the jaw stops, at least ``start``.
 
-        None if that is more than allowed, no less than ``start``.
+        And what it hits if it would have to stop earlier than is allowed.
         """
         low = max(start, float(self.floor_retreat(X_WG, opening)))
         high = self.config.max_retreat
         if low > high:
-            return None
+            return high, "floor"
         if not self.scene.jaw_collides(_moved(X_WG, -low), opening):
-            return low
+            return low, ""
         if self.scene.jaw_collides(_moved(X_WG, -high), opening):
-            return None
+            return high, ", ".join(self.scene.hit()) or "bin"
         while high - low > 0.0005:
             middle = 0.5 * (low + high)
             if self.scene.jaw_collides(_moved(X_WG, -middle), opening):
                 low = middle
             else:
                 high = middle
-        return high
+        return high, ""
 
     def _close_pads(
         self, model: ObjectModel, X_OG: np.ndarray, opening: float

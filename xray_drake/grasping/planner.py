@@ -407,7 +407,7 @@ class ModelGraspPlanner:
         """Judges a grasp as it is executed rather than as it was planned.
 
         Args:
-            grasp: as planned.
+            grasp: as planned; of an object without a name, nothing is lifted.
             poses: 4×4 X_WO of every object in the bin.
             X_WG_perturbed: 4×4 pose that the gripper really is commanded to.
             friction: Coulomb coefficient that it really meets.
@@ -418,6 +418,10 @@ class ModelGraspPlanner:
         """
         if not grasp:
             raise ValueError("there is no grasp to judge")
+        if not grasp.object:
+            return JudgedGrasp(
+                0.0, "no object is under the grasp", np.array(X_WG_perturbed)
+            )
         poses = {name: np.asarray(X, float) for name, X in poses.items()}
         self._judge.scene.set_poses(poses)
         return self._judge_one(

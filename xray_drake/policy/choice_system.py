@@ -14,8 +14,9 @@ from xray_drake.messages import (
     InstanceMasks,
     SearchAction,
 )
+from xray_drake.policy.planning import FailedGrasp
 from xray_drake.policy.ranking import SearchView, candidates
-from xray_drake.policy.system import SearchPolicy
+from xray_drake.policy.system import Decision, SearchPolicy
 
 
 def valid_options(
@@ -47,7 +48,9 @@ class ChoicePolicy(SearchPolicy):
         - instances
         - target_mask
         - status
-        - body_poses
+        - body_poses (planning from models)
+        - seen_depth_image (planning from depth)
+        - camera (planning from depth)
         - choice
         output_ports:
         - action
@@ -76,7 +79,7 @@ class ChoicePolicy(SearchPolicy):
             calc=self._calc_options,
             prerequisites_of_calc={
                 self._instances.ticket(),
-                self._poses.ticket(),
+                *(port.ticket() for port in self._planning_inputs()),
                 self._status.ticket(),
                 self.abstract_state_ticket(self._memory),
             },
@@ -85,7 +88,8 @@ class ChoicePolicy(SearchPolicy):
     def _calc_options(self, context: Context, output: AbstractValue) -> None:
         instances: InstanceMasks = self._instances.Eval(context)
         names = candidates(instances, min_pixels=self._min_pixels)
-        plan = self._planned(context, self._failed(context))
+        failed = self._still_excluded(context, self._failed(context))
+        plan = self._planning(context, instances, failed)
         qualities = tuple(_quality(plan(name)) for name in names)
         output.set_value(
             GraspOptions(
@@ -114,11 +118,15 @@ class ChoicePolicy(SearchPolicy):
         return [(name, 0.0)] if name in valid else []
 
     def _decide(
-        self, context: Context, number: int, failed: tuple[Grasp, ...]
-    ) -> SearchAction:
-        action = super()._decide(context, number, failed)
+        self, context: Context, number: int, failed: tuple[FailedGrasp, ...]
+    ) -> Decision:
+        decision = super()._decide(context, number, failed)
+        action = decision.action
         others = bool(self._options.Eval(context).valid)
-        return replace(action, invalid=others and not action.grasp)
+        return replace(
+            decision,
+            action=replace(action, invalid=others and not action.grasp),
+        )
 
 
 def _quality(grasp: Grasp) -> float:

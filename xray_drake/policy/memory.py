@@ -5,7 +5,7 @@ objects shift into previously free space, the distribution will not cover that
 area" (section VI).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Message
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.observation import check_shapes
-from xray_drake.policy.shifts import Look, shifts_seen
+from xray_drake.policy.shifts import Look, renamed, shifts_seen
 
 _REACH = 1.1
 """How much farther the target may reach than it is long: in perspective it is
@@ -45,6 +45,9 @@ class MemoryConfig:
     # Where a surface lower than this share of the target's thickness is seen,
     # the target is not.
     low: float = 0.5
+    # Instances have the same names at every look; else they are known by their
+    # places.
+    names_last: bool = True
     # Inside of the bin floor: x low, x high, y low, y high, m.
     floor: list[float] = field(
         default_factory=lambda: [-0.25, 0.25, -0.20, 0.20]
@@ -184,6 +187,9 @@ class TargetMemory:
         """Returns what was empty, without where the target can have come."""
         config = self.config
         before = belief.look
+        if not config.names_last:
+            instances = renamed(before.instances, look.instances, gone=lifted)
+            look = replace(look, instances=instances)
         shifts = shifts_seen(
             before,
             look,

@@ -56,6 +56,35 @@ class Shift:
     distance: float
 
 
+def renamed(
+    before: InstanceMasks, after: InstanceMasks, *, gone: str = ""
+) -> InstanceMasks:
+    """Gives instances the names of those that were seen in their place.
+
+    For segmenters whose names mean nothing in the next image. Two instances are
+    one if each has most of the other's pixels, so what has moved by more than
+    half its size, has been cut otherwise, or has been uncovered, gets a name
+    that nothing had.
+
+    Args:
+        before: of the earlier image.
+        after: of the later one.
+        gone: the earlier instance that was taken away; nothing is that.
+    """
+    both = (before.labels >= 0) & (after.labels >= 0)
+    size = len(before.names), len(after.names)
+    overlap = np.zeros(size, int)
+    np.add.at(overlap, (before.labels[both], after.labels[both]), 1)
+    same = (2 * overlap > before.areas()[:, None]) & (
+        2 * overlap > after.areas()[None, :]
+    )
+    names = [f"new {name}" for name in after.names]
+    for i, j in np.argwhere(same):
+        if before.names[i] != gone:
+            names[j] = before.names[i]
+    return InstanceMasks(after.labels, tuple(names))
+
+
 def shifts_seen(
     before: Look,
     after: Look,

@@ -1,7 +1,7 @@
 """The LeafSystem that looks, ranks, and commands the next grasp."""
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import (
     Context,
     EventStatus,
+    InputPort,
     LeafSystem,
     State,
 )
@@ -30,6 +31,14 @@ from xray_drake.messages import (
 )
 from xray_drake.occupancy.system import OccupancyModel
 from xray_drake.perception.ground_truth import target_instance
+from xray_drake.policy.planning import (
+    DepthPlanning,
+    FailedGrasp,
+    ModelPlanning,
+    SeenGraspPlanner,
+    place_of,
+    still_there,
+)
 from xray_drake.policy.ranking import (
     Outlook,
     Planning,
@@ -42,34 +51,19 @@ from xray_drake.seeding import stream
 
 
 @dataclass(frozen=True, eq=False)
-class _Memory(Message):
+class Decision(Message):
+    """The policy's state.
+
+    Attributes:
+        action: what it has decided.
+        place: what was seen where it grasps, to tell whether that has changed;
+            see :func:`~xray_drake.policy.planning.place_of`.
+        failed: what has failed before.
+    """
+
     action: SearchAction = field(default_factory=SearchAction)
-    failed: tuple[Grasp, ...] = ()
-
-
-class _Planned:
-    """Plans grasps at one state of the heap, each once."""
-
-    def __init__(
-        self,
-        planner: GraspPlanner,
-        poses: Mapping[str, np.ndarray],
-        failed: Sequence[Grasp],
-    ) -> None:
-        self._planner = planner
-        self._poses = poses
-        self._failed = failed
-        self._known: dict[tuple[str, frozenset[str]], Grasp] = {}
-
-    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
-        key = name, frozenset(without)
-        if key not in self._known:
-            self._known[key] = self._planner.plan(
-                name,
-                {n: X for n, X in self._poses.items() if n not in key[1]},
-                excluded=[g for g in self._failed if g.object == name],
-            )
-        return self._known[key]
+    place: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    failed: tuple[FailedGrasp, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,6 +82,20 @@ class Foresight:
     height: int = 384
 
 
+@dataclass(frozen=True)
+class DepthGrasps:
+    """What planning grasps from depth, without any model, needs.
+
+    Attributes:
+        planner: finds grasps.
+        width, height: of the images, pixels.
+    """
+
+    planner: SeenGraspPlanner
+    width: int = 512
+    height: int = 384
+
+
 class SearchPolicy(LeafSystem):
     """Chooses the next object and a grasp on it (paper section V).
 
@@ -99,9 +107,10 @@ class SearchPolicy(LeafSystem):
         - instances
         - target_mask
         - status
-        - body_poses
+        - body_poses (planning from models)
+        - seen_depth_image (planning from depth)
         - depth_image (with foresight)
-        - camera (with foresight)
+        - camera (planning from depth, or with foresight)
         - true_target (with truth)
         output_ports:
         - action
@@ -110,21 +119,24 @@ class SearchPolicy(LeafSystem):
     the last action. Then it ranks the objects seen, asks the planner for a
     grasp on the first, else on the next, and raises ``action.number``. The
     inputs are messages of :mod:`xray_drake.messages` but for ``body_poses``,
-    the ground truth that planning from models needs, ``depth_image``
-    (ImageDepth32F, what the occupancy was inferred from) and ``camera``
-    (PinholeCamera). ``true_target`` is the target's true amodal mask; a policy
-    without ``truth`` has no such port.
+    the ground truth that planning from models needs, ``seen_depth_image``
+    (ImageDepth32F, what the camera sees), ``depth_image`` (ImageDepth32F, what
+    the occupancy was inferred from) and ``camera`` (PinholeCamera).
+    ``true_target`` is the target's true amodal mask; a policy without ``truth``
+    has no such port.
 
-    A grasp that failed is not tried again: the planner is told of all grasps
-    that failed on an object.
+    A grasp that failed is not tried again. Planning from models, the planner is
+    told of all grasps that failed on an object. Planning from depth, where an
+    object has no name that lasts, it is told of all that failed at places that
+    still look as they did (:mod:`xray_drake.policy.planning`).
     """
 
     def __init__(
         self,
         *,
         ranking: Ranking,
-        planner: GraspPlanner,
-        bodies: Mapping[str, int],
+        planner: GraspPlanner | DepthGrasps,
+        bodies: Mapping[str, int] | None = None,
         target_first: bool = True,
         min_visible_pixels: int = 50,
         min_grasp_quality: float = 0.0,
@@ -137,8 +149,9 @@ class SearchPolicy(LeafSystem):
 
         Args:
             ranking: scores the objects; the only thing policies differ in.
-            planner: finds grasps.
-            bodies: object name to its index in ``body_poses``.
+            planner: finds grasps, from models or from depth.
+            bodies: object name to its index in ``body_poses``; for planning
+                from models.
             target_first: grasp the target whenever there is a grasp on it.
             min_visible_pixels: objects with fewer are not candidates.
             min_grasp_quality: a weaker grasp is taken only where no candidate
@@ -147,12 +160,18 @@ class SearchPolicy(LeafSystem):
             truth: for rankings that know where the target is.
             seed: of the ranking's random generator.
             period: how often it checks for an idle gripper, s.
+
+        Raises:
+            ValueError: planning from models without ``bodies``.
         """
+        from_depth = isinstance(planner, DepthGrasps)
+        if not from_depth and bodies is None:
+            raise ValueError("planning from models needs bodies")
         super().__init__()
         self.set_name("search_policy")
         self._ranking = ranking
         self._planner = planner
-        self._bodies = dict(bodies)
+        self._bodies = dict(bodies or {})
         self._target_first = target_first
         self._min_pixels = min_visible_pixels
         self._min_quality = min_grasp_quality
@@ -169,15 +188,18 @@ class SearchPolicy(LeafSystem):
         self._status = self.DeclareAbstractInputPort(
             "status", Value(GripperStatus())
         )
-        self._poses = self.DeclareAbstractInputPort(
-            "body_poses", Value([RigidTransform()])
-        )
+        if isinstance(planner, DepthGrasps):
+            self._seen_depth = self._declare_depth("seen_depth_image", planner)
+        else:
+            self._poses = self.DeclareAbstractInputPort(
+                "body_poses", Value([RigidTransform()])
+            )
         self._foresight = foresight
         if foresight is not None:
-            size = foresight.width, foresight.height
-            self._depth_image = self.DeclareAbstractInputPort(
-                "depth_image", Value(ImageDepth32F(*size))
-            )
+            self._depth_image = self._declare_depth("depth_image", foresight)
+        sized = foresight or planner
+        if isinstance(sized, Foresight | DepthGrasps):
+            size = sized.width, sized.height
             self._camera = self.DeclareAbstractInputPort(
                 "camera", Value(PinholeCamera(*size, np.eye(3), np.eye(4)))
             )
@@ -186,7 +208,7 @@ class SearchPolicy(LeafSystem):
             self._true_target = self.DeclareAbstractInputPort(
                 "true_target", Value(TargetMask())
             )
-        self._memory = self.DeclareAbstractState(Value(_Memory()))
+        self._memory = self.DeclareAbstractState(Value(Decision()))
         self.DeclareAbstractOutputPort(
             "action",
             alloc=lambda: Value(SearchAction()),
@@ -197,12 +219,19 @@ class SearchPolicy(LeafSystem):
             period_sec=period, offset_sec=0.0, update=self._update
         )
 
+    def _declare_depth(
+        self, name: str, sized: "Foresight | DepthGrasps"
+    ) -> InputPort:
+        return self.DeclareAbstractInputPort(
+            name, Value(ImageDepth32F(sized.width, sized.height))
+        )
+
     def _calc_action(self, context: Context, output: AbstractValue) -> None:
-        memory: _Memory = context.get_abstract_state(self._memory).get_value()
+        memory: Decision = context.get_abstract_state(self._memory).get_value()
         output.set_value(memory.action)
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        memory: _Memory = context.get_abstract_state(self._memory).get_value()
+        memory: Decision = context.get_abstract_state(self._memory).get_value()
         status: GripperStatus = self._status.Eval(context)
         waiting = (
             status.mode is not GripperMode.IDLE
@@ -211,18 +240,18 @@ class SearchPolicy(LeafSystem):
         if waiting:
             return EventStatus.DidNothing()
         failed = self._failed(context)
-        action = self._decide(context, memory.action.number + 1, failed)
         state.get_mutable_abstract_state(self._memory).set_value(
-            _Memory(action, failed)
+            self._decide(context, memory.action.number + 1, failed)
         )
         return EventStatus.Succeeded()
 
-    def _failed(self, context: Context) -> tuple[Grasp, ...]:
+    def _failed(self, context: Context) -> tuple[FailedGrasp, ...]:
         """Returns the grasps that failed, that of the last action included."""
-        memory: _Memory = context.get_abstract_state(self._memory).get_value()
+        memory: Decision = context.get_abstract_state(self._memory).get_value()
         status: GripperStatus = self._status.Eval(context)
         if status.outcome in (Outcome.FAILED, Outcome.SLIPPED):
-            return *memory.failed, memory.action.grasp
+            latest = FailedGrasp(memory.action.grasp, memory.place)
+            return *memory.failed, latest
         return memory.failed
 
     def _ranked(
@@ -237,8 +266,8 @@ class SearchPolicy(LeafSystem):
         )
 
     def _decide(
-        self, context: Context, number: int, failed: tuple[Grasp, ...]
-    ) -> SearchAction:
+        self, context: Context, number: int, failed: tuple[FailedGrasp, ...]
+    ) -> Decision:
         clock = time.perf_counter
         start = clock()
         target_mask: TargetMask = self._target_mask.Eval(context)
@@ -247,7 +276,8 @@ class SearchPolicy(LeafSystem):
         occupancy: OccupancyDistribution = self._occupancy.Eval(context)
         inferred = clock()
         target = target_instance(instances, target_mask)
-        plan = self._planned(context, failed)
+        failed = self._still_excluded(context, failed)
+        plan = self._planning(context, instances, failed)
         view = SearchView(
             occupancy,
             instances,
@@ -261,7 +291,7 @@ class SearchPolicy(LeafSystem):
         ordered = clock()
         grasp, score = self._first_grasp(ranked, plan)
         planned = clock()
-        return SearchAction(
+        action = SearchAction(
             number=number,
             grasp=grasp,
             is_target=bool(grasp) and grasp.object == target,
@@ -278,9 +308,42 @@ class SearchPolicy(LeafSystem):
                 ("planning", planned - ordered),
             ),
         )
+        return Decision(action, self._place(context, grasp), failed)
 
-    def _planned(self, context: Context, failed: tuple[Grasp, ...]) -> _Planned:
-        return _Planned(self._planner, self._object_poses(context), failed)
+    def _planning(
+        self,
+        context: Context,
+        instances: InstanceMasks,
+        failed: Sequence[FailedGrasp],
+    ) -> Planning:
+        planner = self._planner
+        if isinstance(planner, DepthGrasps):
+            return DepthPlanning(
+                planner.planner, instances, *self._seen(context), failed
+            )
+        return ModelPlanning(planner, self._object_poses(context), failed)
+
+    def _planning_inputs(self) -> list[InputPort]:
+        if isinstance(self._planner, DepthGrasps):
+            return [self._seen_depth, self._camera]
+        return [self._poses]
+
+    def _seen(self, context: Context) -> tuple[np.ndarray, PinholeCamera]:
+        image: ImageDepth32F = self._seen_depth.Eval(context)
+        return np.array(image.data[:, :, 0]), self._camera.Eval(context)
+
+    def _still_excluded(
+        self, context: Context, failed: tuple[FailedGrasp, ...]
+    ) -> tuple[FailedGrasp, ...]:
+        if not isinstance(self._planner, DepthGrasps):
+            return failed
+        depth, camera = self._seen(context)
+        return tuple(f for f in failed if still_there(f, depth, camera))
+
+    def _place(self, context: Context, grasp: Grasp) -> np.ndarray:
+        if not isinstance(self._planner, DepthGrasps):
+            return np.zeros((0, 3))
+        return place_of(grasp, *self._seen(context))
 
     def _object_poses(self, context: Context) -> dict[str, np.ndarray]:
         body_poses = self._poses.Eval(context)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
+from xray_drake.grasping.depth_planner import DepthGraspPlanner
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.occupancy.exact import ExactInference
 from xray_drake.occupancy.learned import load_inference
@@ -14,11 +15,12 @@ from xray_drake.policy.memory import MemoryConfig, TargetMemory
 from xray_drake.policy.memory_system import SearchMemory
 from xray_drake.policy.policies import POLICIES, Policy
 from xray_drake.policy.ranking import RANKINGS
-from xray_drake.policy.system import Foresight, SearchPolicy
+from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
 from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.search.execution import add_execution
+from xray_drake.search.grasped_body import GraspedBody
 from xray_drake.search.perception import add_perception
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
@@ -70,10 +72,12 @@ def build_search_diagram(
     ``gripper_controller``. With noise, ``depth_sensor`` stands between the
     camera and all who read depth. With execution by contact, ``suction_cup``
     and ``rest_sensor`` stand between the station and the gripper. Policies that
-    need them add ``search_memory`` between it and the inference, or
-    ``true_target``. The outputs of all are exported as ``box.port``, and so
-    are the station's images and its ground truth (``cheat.…``). In the default
-    context the heap is at rest and nothing has been decided.
+    need them add ``search_memory`` between camera and inference, or
+    ``true_target``. Where grasps are planned from depth, ``grasped_body``
+    stands between policy and gripper. The outputs of all are exported as
+    ``box.port``, and so are the station's images and its ground truth
+    (``cheat.…``). In the default context the heap is at rest and nothing has
+    been decided.
 
     Args:
         scenario: what to build.
@@ -123,11 +127,12 @@ def build_search_diagram(
         config=scenario.gripper.planner,
         seed=scenario.seed,
     )
+    from_depth = scenario.gripper.grasps == "depth"
     build_policy = ChoicePolicy if agent else SearchPolicy
     policy = builder.AddSystem(
         build_policy(
             ranking=kind.ranking,
-            planner=planner,
+            planner=_depth_grasps(scenario) if from_depth else planner,
             bodies=bodies,
             target_first=scenario.policy.target_first,
             min_visible_pixels=scenario.policy.min_visible_pixels,
@@ -153,7 +158,10 @@ def build_search_diagram(
             SearchMemory(
                 memory=TargetMemory(
                     target.extents,
-                    MemoryConfig(floor=scenario.perception.exact.floor),
+                    MemoryConfig(
+                        floor=scenario.perception.exact.floor,
+                        names_last=scenario.perception.segmenter != "depth",
+                    ),
                 ),
                 width=camera.width,
                 height=camera.height,
@@ -170,10 +178,7 @@ def build_search_diagram(
         ]
         depth = memory, "depth_image"
     if kind.outlook:
-        wires += [
-            (*depth, policy, "depth_image"),
-            (station, f"{name}.camera", policy, "camera"),
-        ]
+        wires.append((*depth, policy, "depth_image"))
     if kind.truth:
         truth = builder.AddSystem(
             TrueTargetMask(target=target, body=bodies[target.name])
@@ -184,6 +189,32 @@ def build_search_diagram(
             (station, f"{name}.camera", truth, "camera"),
             (truth, "target_mask", policy, "true_target"),
         ]
+    decided: _Output = policy, "action"
+    if from_depth:
+        body = builder.AddSystem(
+            GraspedBody(
+                labels=parts.labels,
+                bodies=bodies,
+                parameters=scenario.gripper.parameters,
+                width=camera.width,
+                height=camera.height,
+            )
+        )
+        boxes.append(body)
+        wires += [
+            (*perception.depth, policy, "seen_depth_image"),
+            (*decided, body, "action"),
+            (station, "cheat.body_poses", body, "body_poses"),
+            *(
+                (station, f"{name}.{port}", body, port)
+                for port in ("label_image", "depth_image", "camera")
+            ),
+        ]
+        decided = body, "action"
+    else:
+        wires.append((station, "cheat.body_poses", policy, "body_poses"))
+    if from_depth or kind.outlook:
+        wires.append((station, f"{name}.camera", policy, "camera"))
     wires += [
         (*depth, occupancy, "depth_image"),
         (station, f"{name}.camera", occupancy, "camera"),
@@ -192,8 +223,7 @@ def build_search_diagram(
         (segmenter, "instances", policy, "instances"),
         (occupancy, "occupancy", policy, "occupancy"),
         (gripper, "status", policy, "status"),
-        (station, "cheat.body_poses", policy, "body_poses"),
-        (policy, "action", gripper, "action"),
+        (*decided, gripper, "action"),
     ]
     for source, output, drain, port in wires:
         builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
@@ -226,6 +256,19 @@ def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
         output="posterior"
         if perception.occupancy == "posterior"
         else "occupancy",
+    )
+
+
+def _depth_grasps(scenario: Scenario) -> DepthGrasps:
+    gripper, camera = scenario.gripper, scenario.camera
+    return DepthGrasps(
+        DepthGraspPlanner(
+            parameters=gripper.parameters,
+            config=gripper.depth_planner,
+            seed=scenario.seed,
+        ),
+        camera.width,
+        camera.height,
     )
 
 

@@ -69,6 +69,12 @@ class SearchMonitor:
         self._horizon = scenario.horizon
         self._target = heap.target
         self._action = diagram.GetOutputPort("search_policy.action")
+        # What the gripper is told: the grasp, and the body that it is on.
+        self._on_body = diagram.GetOutputPort(
+            "grasped_body.action"
+            if diagram.HasSubsystemNamed("grasped_body")
+            else "search_policy.action"
+        )
         self._status = diagram.GetOutputPort("gripper_controller.status")
         self._occupancy = diagram.GetOutputPort("occupancy_inference.occupancy")
         self._poses = diagram.GetOutputPort("cheat.body_poses")
@@ -229,7 +235,8 @@ class SearchMonitor:
         record.actions.append(
             ActionRecord(
                 step=action.number,
-                object=action.grasp.object,
+                object=self._grasped_body(context, action),
+                segment=action.grasp.object,
                 is_target=action.is_target,
                 grasp=action.grasp,
                 score=action.score,
@@ -242,6 +249,12 @@ class SearchMonitor:
         )
         for observer in self._observers:
             observer.decided(self._diagram, context, action)
+
+    def _grasped_body(self, context: Context, action: SearchAction) -> str:
+        if not action.grasp:
+            return ""
+        told: SearchAction = self._on_body.Eval(context)
+        return told.grasp.object
 
     def _cover(self, context: Context, amodal: np.ndarray) -> dict[str, float]:
         view = target_view(

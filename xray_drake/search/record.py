@@ -19,8 +19,9 @@ class ActionRecord:
 
     Attributes:
         step: 1, 2, ….
-        object: what was grasped; empty where there was no grasp.
-        is_target: the target was grasped.
+        object: what was grasped, by the name that the body truly has; empty
+            where there was no grasp, or nothing under it.
+        is_target: what was grasped was taken for the target.
         grasp: as planned.
         outcome: how it ended; NONE while it goes on.
         reason: why it failed, one line.
@@ -37,6 +38,8 @@ class ActionRecord:
         true_mask_in_support: share of the target's true amodal mask that lay
             in the support when it was decided.
         seconds: wall time per stage.
+        segment: what was grasped, by the name that the segmenter gave it; with
+            ground truth the body's own.
     """
 
     step: int
@@ -55,6 +58,7 @@ class ActionRecord:
     target_visible_fraction: float = 0.0
     true_mask_in_support: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)
+    segment: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the action as JSON takes it."""
@@ -62,6 +66,7 @@ class ActionRecord:
         return {
             "step": self.step,
             "object": self.object,
+            "segment": self.segment,
             "is_target": self.is_target,
             "grasp": {
                 "kind": grasp.kind.value if grasp else None,

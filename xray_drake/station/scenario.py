@@ -18,6 +18,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 from pydrake.visualization import VisualizationConfig
 
+from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.execution import ExecutionConfig
@@ -55,7 +56,7 @@ POLICIES = (
     "grasp_aware",
     "combined",
 )
-GRASPS = ("models",)
+GRASPS = ("models", "depth")
 EXECUTIONS = ("quasi_static", "contact")
 
 
@@ -154,15 +155,20 @@ class PolicyConfig:
 class GripperConfig:
     """How grasps are planned and executed."""
 
-    # How grasps are planned: "models".
+    # How grasps are planned: "models", from the objects' models and poses, or
+    # "depth", from the depth image alone.
     grasps: str = "models"
     # How grasps are executed: "quasi_static", where an ideal gripper lifts what
     # the analysis says would hold; or "contact", with fingers and suction cup.
     execution: str = "quasi_static"
     # What the gripper can do.
     parameters: GripperParameters = field(default_factory=GripperParameters)
-    # How grasps are searched for.
+    # How "models" searches for grasps.
     planner: GraspPlannerConfig = field(default_factory=GraspPlannerConfig)
+    # How "depth" does.
+    depth_planner: DepthPlannerConfig = field(
+        default_factory=DepthPlannerConfig
+    )
     # How "quasi_static" perturbs, judges and moves.
     quasi_static: QuasiStaticConfig = field(default_factory=QuasiStaticConfig)
     # How "contact" moves, and when it gives up.
@@ -396,7 +402,8 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
     ):
         raise ScenarioError(
             f"{source}: perception.segmenter is depth, but gripper.grasps is "
-            "models: of what is found in depth no model is known"
+            "models: of what is found in depth no model is known; choose "
+            "gripper.grasps: depth"
         )
     _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)

@@ -1,0 +1,141 @@
+"""A whole search without ground truth on the way, on the tiny heap."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.search.test_rollout import always_failing, stripped
+from xray_drake.messages import GraspKind, Outcome, SearchAction
+from xray_drake.scene.heap import Heap
+from xray_drake.search.diagram import build_search_diagram
+from xray_drake.search.record import SearchRecord
+from xray_drake.search.rollout import run_search
+from xray_drake.station.scenario import Scenario
+
+TARGET = "box_2to1"
+
+
+@pytest.fixture
+def blind_scenario(tiny_scenario: Scenario) -> Scenario:
+    """Nothing but images, as a sensor gives them."""
+    perception = tiny_scenario.perception
+    perception.detector, perception.segmenter = "hsv", "depth"
+    perception.noise = True
+    tiny_scenario.gripper.grasps = "depth"
+    return tiny_scenario
+
+
+@pytest.fixture
+def found(blind_scenario: Scenario, tiny_heap: Heap) -> SearchRecord:
+    return run_search(build_search_diagram(blind_scenario, heap=tiny_heap))
+
+
+def test_the_target_is_dug_out(found: SearchRecord) -> None:
+    assert found.end == "success"
+    names = {TARGET, *found.objects}
+    for action in found.actions:
+        assert action.segment.startswith("segment_")
+        assert action.segment == action.grasp.object
+        assert action.object in names
+        # Here the detector is never wrong.
+        assert action.is_target == (action.object == TARGET)
+    lifted = [a.object for a in found.actions if a.outcome is Outcome.LIFTED]
+    assert "book" in lifted[:-1]  # it lay on the target
+    assert lifted[-1] == TARGET
+    assert len(set(lifted)) == len(lifted)
+    data = found.to_dict()
+    assert json.loads(json.dumps(data)) == data
+    assert data["actions"][0]["segment"] == found.actions[0].segment
+
+
+def test_every_object_is_grasped_where_it_is(
+    blind_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    """Names of the masks are true here, and grasps from depth."""
+    blind_scenario.perception.segmenter = "ground_truth"
+    diagram = build_search_diagram(blind_scenario, heap=tiny_heap)
+    context = diagram.CreateDefaultContext()
+    policy = diagram.GetSubsystemByName("search_policy")
+    plan = policy._planning(
+        policy.GetMyContextFromRoot(context),
+        diagram.GetOutputPort("instance_segmenter.instances").Eval(context),
+        (),
+    )
+    body = diagram.GetSubsystemByName("grasped_body")
+    inputs = body.GetMyContextFromRoot(context)
+    kinds = {"book": GraspKind.SUCTION, "block": None, "plank": None}
+    for name, kind in kinds.items():
+        grasp = plan(name)
+        assert grasp.quality > 0.3
+        assert kind in (None, grasp.kind)
+        body.GetInputPort("action").FixValue(
+            inputs, SearchAction(number=1, grasp=grasp)
+        )
+        on = body.GetOutputPort("action").Eval(inputs).grasp
+        assert on.object == name
+        X_WO = tiny_heap.poses[name]
+        np.testing.assert_allclose(X_WO @ on.X_OG, grasp.X_WG, atol=1e-3)
+
+
+def test_what_failed_is_not_tried_again_while_nothing_moves(
+    blind_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    blind_scenario.horizon = 4
+    scenario = always_failing(blind_scenario)
+    record = run_search(build_search_diagram(scenario, heap=tiny_heap))
+    assert [a.outcome for a in record.actions] == [Outcome.FAILED] * 4
+    config = scenario.gripper.depth_planner
+    poses = [action.grasp.X_WG for action in record.actions]
+    for i, X in enumerate(poses):
+        for Y in poses[:i]:
+            way = np.linalg.norm(X[:3, 3] - Y[:3, 3])
+            apart = way > config.excluded_position
+            turn = np.arccos(np.clip(X[:3, 2] @ Y[:3, 2], -1, 1))
+            across = np.arccos(min(1.0, abs(X[:3, 1] @ Y[:3, 1])))
+            assert apart or max(turn, across) > 0.5 * config.excluded_angle
+
+
+def test_the_same_scenario_gives_the_same_search(
+    blind_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    blind_scenario.horizon = 2
+    first, second = (
+        stripped(
+            run_search(build_search_diagram(blind_scenario, heap=tiny_heap))
+        )
+        for _ in range(2)
+    )
+    assert first == second
+
+
+@pytest.mark.parametrize("policy", ["combined", "oracle", "random"])
+def test_every_kind_of_policy_plans_from_depth(
+    blind_scenario: Scenario, tiny_heap: Heap, policy: str
+) -> None:
+    """With memory and outlook, with truth, and with neither."""
+    blind_scenario.policy.name = policy
+    blind_scenario.horizon = 2
+    record = run_search(build_search_diagram(blind_scenario, heap=tiny_heap))
+    assert record.actions
+    for action in record.actions:
+        assert action.grasp
+        assert action.object in {TARGET, *record.objects}
+
+
+def test_planning_sees_what_the_camera_sees(
+    blind_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    """Not what the memory makes of it, which the inference sees."""
+    blind_scenario.policy.name = "combined"
+    diagram = build_search_diagram(blind_scenario, heap=tiny_heap)
+    policy = diagram.GetSubsystemByName("search_policy")
+    for source, port in (
+        ("depth_sensor", "seen_depth_image"),
+        ("search_memory", "depth_image"),
+    ):
+        assert diagram.AreConnected(
+            diagram.GetSubsystemByName(source).GetOutputPort("depth_image"),
+            policy.GetInputPort(port),
+        )
+    assert not policy.HasInputPort("body_poses")

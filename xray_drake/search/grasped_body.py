@@ -1,0 +1,167 @@
+"""Which body of the plant is under a grasp that was planned on an image.
+
+Ground truth: for the record, and for the ideal gripper, which lifts bodies.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.grasping.gripper_geometry import GripperParameters
+from xray_drake.messages import Grasp, GraspKind, SearchAction
+
+_SLACK = 0.003
+"""Added to all sides of the space that a grasp closes on, m."""
+
+
+def body_under_grasp(
+    grasp: Grasp,
+    labels: np.ndarray,
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    names: Mapping[str, int],
+    parameters: GripperParameters,
+) -> str:
+    """Returns the object most of which is seen where a grasp closes.
+
+    For the jaw that is between the pads, from the fingertips upwards; for the
+    cup, under the lip.
+
+    Args:
+        grasp: planned on the heap that is seen.
+        labels: (H, W) integer label image.
+        depth: (H, W) z-depth as it truly is, m.
+        camera: of both images.
+        names: object to its value in the label image.
+        parameters: of the gripper.
+
+    Returns:
+        Its name; empty where no object is seen there.
+    """
+    if not grasp:
+        return ""
+    R, p = grasp.X_WG[:3, :3], grasp.X_WG[:3, 3]
+    read = np.isfinite(depth)
+    points = camera.unproject(np.where(read, depth, 0.0))
+    x, y, z = np.moveaxis((points - p) @ R, -1, 0)
+    if grasp.kind is GraspKind.JAW:
+        there = (
+            read
+            & (np.abs(x) <= 0.5 * parameters.pad_width + _SLACK)
+            & (np.abs(y) <= 0.5 * grasp.width + _SLACK)
+            & (z <= 0.5 * parameters.pad_height)
+        )
+    else:
+        there = (
+            read
+            & (np.hypot(x, y) <= parameters.cup_radius)
+            & (np.abs(z) <= parameters.bellows_travel + _SLACK)
+        )
+    counts = {
+        name: int(np.count_nonzero(there & (labels == label)))
+        for name, label in names.items()
+    }
+    best = max(counts, key=lambda name: counts[name], default="")
+    return best if best and counts[best] else ""
+
+
+class GraspedBody(LeafSystem):
+    """Tells a gripper that lifts bodies which body a grasp is on.
+
+    .. pydrake_system::
+
+        name: GraspedBody
+        input_ports:
+        - action
+        - label_image
+        - depth_image
+        - camera
+        - body_poses
+        output_ports:
+        - action
+
+    A grasp planned on an image names a segment. ``action``
+    (:class:`~xray_drake.messages.SearchAction`) goes out with the grasp on the
+    body under it, by its name and in its frame; where none is, the name is
+    empty. ``label_image`` (ImageLabel16I), ``depth_image`` (ImageDepth32F,
+    without noise) and ``body_poses`` are the ground truth, ``camera`` is a
+    PinholeCamera.
+
+    It says so of the heap that is seen now: look before the gripper moves.
+    """
+
+    def __init__(
+        self,
+        *,
+        labels: Mapping[str, int],
+        bodies: Mapping[str, int],
+        parameters: GripperParameters | None = None,
+        width: int = 512,
+        height: int = 384,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            labels: object name to its value in the label image.
+            bodies: object name to its index in ``body_poses``.
+            parameters: of the gripper.
+            width: of the images, pixels.
+            height: of the images, pixels.
+        """
+        super().__init__()
+        self.set_name("grasped_body")
+        self._names = dict(labels)
+        self._bodies = dict(bodies)
+        self._parameters = parameters or GripperParameters()
+        self._action = self.DeclareAbstractInputPort(
+            "action", Value(SearchAction())
+        )
+        self._label_image = self.DeclareAbstractInputPort(
+            "label_image", Value(ImageLabel16I(width, height))
+        )
+        self._depth_image = self.DeclareAbstractInputPort(
+            "depth_image", Value(ImageDepth32F(width, height))
+        )
+        self._camera = self.DeclareAbstractInputPort(
+            "camera", Value(PinholeCamera(width, height, np.eye(3), np.eye(4)))
+        )
+        self._poses = self.DeclareAbstractInputPort(
+            "body_poses", Value([RigidTransform()])
+        )
+        self.DeclareAbstractOutputPort(
+            "action",
+            alloc=lambda: Value(SearchAction()),
+            calc=self._calc_action,
+            prerequisites_of_calc={
+                self.get_input_port(i).ticket()
+                for i in range(self.num_input_ports())
+            },
+        )
+
+    def _calc_action(self, context: Context, output: AbstractValue) -> None:
+        action: SearchAction = self._action.Eval(context)
+        if action.grasp:
+            action = replace(action, grasp=self._grounded(context, action))
+        output.set_value(action)
+
+    def _grounded(self, context: Context, action: SearchAction) -> Grasp:
+        grasp = action.grasp
+        name = body_under_grasp(
+            grasp,
+            self._label_image.Eval(context).data[:, :, 0],
+            self._depth_image.Eval(context).data[:, :, 0].astype(float),
+            self._camera.Eval(context),
+            self._names,
+            self._parameters,
+        )
+        if not name:
+            return replace(grasp, object="")
+        X_WO = self._poses.Eval(context)[self._bodies[name]].GetAsMatrix4()
+        X_OG = np.linalg.inv(X_WO) @ grasp.X_WG
+        return replace(grasp, object=name, X_OG=X_OG)
