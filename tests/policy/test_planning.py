@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from tests.conftest import Observation
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Grasp, GraspKind, InstanceMasks
 from xray_drake.policy.planning import (
@@ -17,6 +16,7 @@ from xray_drake.policy.planning import (
     place_of,
     still_there,
 )
+from xray_drake.testing.tiny import Observation
 
 
 class SeenPlanner:

@@ -6,10 +6,10 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
 
-from tests.conftest import Observation
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.messages import Grasp, GraspKind, SearchAction
 from xray_drake.search.grasped_body import GraspedBody, body_under_grasp
+from xray_drake.testing.tiny import Observation
 
 TARGET = "box_2to1"
 

@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.gripper.quasi_static import QuasiStaticGripper
 from xray_drake.policy import policies
 from xray_drake.policy.ranking import RANKINGS, SearchView
 from xray_drake.policy.system import SearchPolicy
 from xray_drake.scene.heap import Heap
 from xray_drake.search import diagram as module
+from xray_drake.search import execution
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
@@ -108,8 +110,12 @@ def test_the_systems_are_built_alike(
 
         return build
 
-    for kind in (SearchPolicy, QuasiStaticGripper, module.ModelGraspPlanner):
-        monkeypatch.setattr(module, kind.__name__, noting(kind))
+    for where, kind in (
+        (module, SearchPolicy),
+        (execution, QuasiStaticGripper),
+        (module, ModelGraspPlanner),
+    ):
+        monkeypatch.setattr(where, kind.__name__, noting(kind))
     tiny_scenario.policy.target_first = True
     for name in policies.POLICIES:
         tiny_scenario.policy.name = name
