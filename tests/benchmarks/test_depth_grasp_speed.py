@@ -48,6 +48,7 @@ def test_a_large_plate_alone(benchmark: BenchmarkFixture) -> None:
     time_plan(benchmark, [block([0.12, 0.08, 0.01], at(0, 0, 0.005))])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 3, 4])
 def test_a_block_in_a_heap(benchmark: BenchmarkFixture, seed: int) -> None:
-    time_plan(benchmark, clutter(np.random.default_rng(seed), 14))
+    rng = np.random.default_rng(seed)
+    time_plan(benchmark, clutter(rng, 14, spread=0.08))

@@ -236,7 +236,18 @@ class DepthGraspPlanner:
         )
         order = in_groups(candidates.score, candidates.group)
         candidates = candidates.take(order[: config.max_candidates])
-        X_WG, room = judge.stop_jaw(candidates.X_WG, candidates.width)
+        # The best that are free, no more of them than are wanted.
+        X_WG, room = np.zeros((0, 4, 4)), np.zeros(0)
+        while (
+            len(room) < len(candidates)
+            and np.count_nonzero(room >= 0) < config.max_checks
+        ):
+            part = slice(len(room), len(room) + config.max_checks)
+            stopped = judge.stop_jaw(
+                candidates.X_WG[part], candidates.width[part]
+            )
+            X_WG = np.concatenate([X_WG, stopped[0]])
+            room = np.concatenate([room, stopped[1]])
         free = np.flatnonzero(room >= 0)[: config.max_checks]
         judged = judge.jaw(
             X_WG[free],
