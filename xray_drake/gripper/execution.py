@@ -50,6 +50,10 @@ class ExecutionConfig:
     max_retreat: float = 0.006
     # The cup is pressed on by as much, unless it seals before, m.
     cup_overtravel: float = 0.006
+    # The jaw goes on by as much, unless it touches something before, as the
+    # analysis assumes (JudgementConfig.overtravel): thin objects are held lower
+    # on the pads, and do not slip out, m.
+    jaw_overtravel: float = 0.002
     # A jaw that is closed to less than this holds nothing, m.
     empty_width: float = 0.0005
     # Vacuum at which the cup has sealed, and at which it has let go, as a share
@@ -386,14 +390,14 @@ class GraspExecution:
             return motion
         config, grasp = self._config, motion.action.grasp
         suction = grasp.kind is GraspKind.SUCTION
-        end = self._joints(grasp, config.cup_overtravel) if suction else None
+        beyond = config.cup_overtravel if suction else config.jaw_overtravel
         legs = [
             Leg(self._joints(grasp, -config.approach_distance), config.speed),
             Leg(
                 self._joints(grasp, -config.touch_distance),
                 config.approach_speed,
             ),
-            Leg(motion.goal if end is None else end, config.touch_speed),
+            Leg(self._joints(grasp, beyond), config.touch_speed),
         ]
         motion = replace(motion, suction=suction)
         return self._go(
