@@ -68,6 +68,7 @@ def test_table_3_is_as_the_protocol_says() -> None:
     assert table3.perception.segmenter == "depth"
     assert table3.perception.noise
     assert table3.gripper.grasps == "depth"
+    assert table3.gripper.execution == "contact"
     assert table3.horizon == 10
     assert table3.policy.target_first
     table3.scene.target = "domino"
