@@ -113,6 +113,14 @@ def test_occupancy_distributions(
     assert int(poses) > 0
 
 
+def test_replace_one_system(execute: Callable[[str], NotebookNode]) -> None:
+    notebook = execute("04_replace_one_system")
+    assert "action 1 takes 'near'" in printed(notebook)
+    (table,) = [t for kind, t in shown(notebook) if kind == "text/markdown"]
+    assert table.startswith("| step | highest first | X-Ray |")
+    assert table.count("**") == 4
+
+
 def test_bring_your_own_objects(
     execute: Callable[[str], NotebookNode],
 ) -> None:

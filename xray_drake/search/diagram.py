@@ -1,6 +1,7 @@
 """Builds the whole search as one Diagram."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -22,6 +23,7 @@ from xray_drake.scene.object_model import ObjectModel
 from xray_drake.search.execution import add_execution
 from xray_drake.search.grasped_body import GraspedBody
 from xray_drake.search.perception import add_perception
+from xray_drake.search.wiring import check_output, connect_inputs
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import (
@@ -33,8 +35,35 @@ from xray_drake.station.scenario import (
 AGENT = "agent"
 """What the record calls the policy where an agent chooses."""
 
-_Output = tuple[System, str]
-_Wire = tuple[System, str, System, str]
+REPLACEABLE = {
+    "target_detector": "target_mask",
+    "instance_segmenter": "instances",
+    "occupancy_inference": "occupancy",
+    "search_policy": "action",
+}
+"""The boxes that can be replaced, and the output that each must have."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchParts:
+    """What a system that takes a box's place may be built from.
+
+    Attributes:
+        scenario: of the search.
+        heap: what lies in the bin in the default context.
+        station: plant, scene graph and objects.
+        bodies: object name to its index in ``body_poses``.
+        planner: plans grasps from the objects' models.
+    """
+
+    scenario: Scenario
+    heap: Heap
+    station: StationParts
+    bodies: Mapping[str, int]
+    planner: ModelGraspPlanner
+
+
+Replacement = Callable[[SearchParts], System]
 
 
 class SearchDiagram(Diagram):
@@ -64,6 +93,7 @@ def build_search_diagram(
     meshcat: Meshcat | None = None,
     progress: Callable[[float], None] | None = None,
     agent: bool = False,
+    replace: Mapping[str, Replacement] | None = None,
 ) -> SearchDiagram:
     """Builds station, perception, inference, policy and gripper.
 
@@ -89,48 +119,68 @@ def build_search_diagram(
             the policy is a
             :class:`~xray_drake.policy.choice_system.ChoicePolicy`, whose input
             is exported as ``search_policy.choice``. All else is the same.
+        replace: name of a box, of ``REPLACEABLE``, to a function that builds
+            the system that takes its place. Its inputs are connected by their
+            names, whichever it has: ``color_image``, ``depth_image``,
+            ``label_image``, ``camera``; ``target_mask`` but for the detector;
+            for inference and policy ``instances`` and ``body_poses`` (ground
+            truth), and for the policy ``occupancy`` and ``status``.
 
     Raises:
+        ValueError: a box that cannot be replaced, or a system that does not fit
+            in its place.
         ScenarioError: a scenario that cannot be used.
         HeapError: heap after heap failed.
     """
     check_scenario(scenario)
+    replace = replace or {}
+    _check_replaced(replace, agent=agent)
     if heap is None:
         heap = make_heap(scenario, progress=progress)
     builder = DiagramBuilder()
     station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
     builder.AddSystem(station)
-    camera = scenario.camera
-    kind = (
-        Policy(RANKINGS["largest"]) if agent else POLICIES[scenario.policy.name]
-    )
-    target = heap.target
+    camera, target = scenario.camera, heap.target
     bodies = {
         name: int(item.body.index()) for name, item in parts.objects.items()
     }
-
-    perception = add_perception(
-        builder, scenario, station, parts.labels, target.name
-    )
-    detector, segmenter = perception.detector, perception.segmenter
-    inference = _inference(scenario, target)
-    occupancy = builder.AddSystem(
-        OccupancyInference(
-            inference=inference,
-            width=camera.width,
-            height=camera.height,
-        )
-    )
     planner = ModelGraspPlanner(
         heap.models,
         parameters=scenario.gripper.parameters,
         config=scenario.gripper.planner,
         seed=scenario.seed,
     )
+    inside = SearchParts(scenario, heap, parts, bodies, planner)
+    replaced = {
+        name: _replacement(name, build, inside)
+        for name, build in replace.items()
+    }
+    # Whoever else decides needs nothing beside what all policies see.
+    kind = POLICIES[scenario.policy.name]
+    if agent or "search_policy" in replaced:
+        kind = Policy(RANKINGS["largest"])
+
+    perception = add_perception(
+        builder,
+        scenario,
+        station,
+        parts.labels,
+        target.name,
+        detector=replaced.get("target_detector"),
+        segmenter=replaced.get("instance_segmenter"),
+    )
+    inference = _inference(scenario, target)
+    occupancy = builder.AddSystem(
+        replaced.get("occupancy_inference")
+        or OccupancyInference(
+            inference=inference, width=camera.width, height=camera.height
+        )
+    )
     from_depth = scenario.gripper.grasps == "depth"
     build_policy = ChoicePolicy if agent else SearchPolicy
     policy = builder.AddSystem(
-        build_policy(
+        replaced.get("search_policy")
+        or build_policy(
             ranking=kind.ranking,
             planner=_depth_grasps(scenario) if from_depth else planner,
             bodies=bodies,
@@ -148,11 +198,22 @@ def build_search_diagram(
     )
     execution = add_execution(builder, scenario, station, parts, heap, planner)
     gripper = execution.controller
-
-    name = camera.name
-    depth: _Output = perception.depth
     boxes = [*perception.boxes, occupancy, policy, *execution.boxes]
-    wires: list[_Wire] = []
+
+    taken = {
+        port: station.GetOutputPort(f"{camera.name}.{port}")
+        for port in ("color_image", "depth_image", "label_image", "camera")
+    }
+    taken["body_poses"] = station.GetOutputPort("cheat.body_poses")
+    system, port = perception.depth
+    seen = taken | {
+        "depth_image": system.GetOutputPort(port),
+        "target_mask": perception.detector.GetOutputPort("target_mask"),
+        "instances": perception.segmenter.GetOutputPort("instances"),
+    }
+    action = policy.GetOutputPort("action")
+    status = gripper.GetOutputPort("status")
+    known = dict(seen)
     if kind.memory:
         memory = builder.AddSystem(
             SearchMemory(
@@ -168,28 +229,26 @@ def build_search_diagram(
             )
         )
         boxes.append(memory)
-        wires += [
-            (*depth, memory, "depth_image"),
-            (detector, "target_mask", memory, "target_mask"),
-            (segmenter, "instances", memory, "instances"),
-            (station, f"{name}.camera", memory, "camera"),
-            (policy, "action", memory, "action"),
-            (gripper, "status", memory, "status"),
-        ]
-        depth = memory, "depth_image"
-    if kind.outlook:
-        wires.append((*depth, policy, "depth_image"))
+        connect_inputs(
+            builder, memory, seen | {"action": action, "status": status}
+        )
+        known["depth_image"] = memory.GetOutputPort("depth_image")
+    connect_inputs(builder, occupancy, known)
+    known |= {
+        "seen_depth_image": seen["depth_image"],
+        "occupancy": occupancy.GetOutputPort("occupancy"),
+        "status": status,
+    }
     if kind.truth:
         truth = builder.AddSystem(
             TrueTargetMask(target=target, body=bodies[target.name])
         )
         boxes.append(truth)
-        wires += [
-            (station, "cheat.body_poses", truth, "body_poses"),
-            (station, f"{name}.camera", truth, "camera"),
-            (truth, "target_mask", policy, "true_target"),
-        ]
-    decided: _Output = policy, "action"
+        connect_inputs(builder, truth, taken)
+        known["true_target"] = truth.GetOutputPort("target_mask")
+    connect_inputs(
+        builder, policy, known, open_ports=("choice",) if agent else ()
+    )
     if from_depth:
         body = builder.AddSystem(
             GraspedBody(
@@ -201,32 +260,9 @@ def build_search_diagram(
             )
         )
         boxes.append(body)
-        wires += [
-            (*perception.depth, policy, "seen_depth_image"),
-            (*decided, body, "action"),
-            (station, "cheat.body_poses", body, "body_poses"),
-            *(
-                (station, f"{name}.{port}", body, port)
-                for port in ("label_image", "depth_image", "camera")
-            ),
-        ]
-        decided = body, "action"
-    else:
-        wires.append((station, "cheat.body_poses", policy, "body_poses"))
-    if from_depth or kind.outlook:
-        wires.append((station, f"{name}.camera", policy, "camera"))
-    wires += [
-        (*depth, occupancy, "depth_image"),
-        (station, f"{name}.camera", occupancy, "camera"),
-        (detector, "target_mask", occupancy, "target_mask"),
-        (detector, "target_mask", policy, "target_mask"),
-        (segmenter, "instances", policy, "instances"),
-        (occupancy, "occupancy", policy, "occupancy"),
-        (gripper, "status", policy, "status"),
-        (*decided, gripper, "action"),
-    ]
-    for source, output, drain, port in wires:
-        builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
+        connect_inputs(builder, body, taken | {"action": action})
+        action = body.GetOutputPort("action")
+    builder.Connect(action, gripper.GetInputPort("action"))
     if agent:
         builder.ExportInput(
             policy.GetInputPort("choice"), "search_policy.choice"
@@ -244,6 +280,25 @@ def build_search_diagram(
     diagram.meshcat = meshcat
     diagram.agent = agent
     return diagram
+
+
+def _check_replaced(replace: Mapping[str, Replacement], *, agent: bool) -> None:
+    for name in replace:
+        if name not in REPLACEABLE:
+            raise ValueError(
+                f"{name} cannot be replaced: choose of {', '.join(REPLACEABLE)}"
+            )
+    if agent and "search_policy" in replace:
+        raise ValueError(
+            "search_policy is replaced, and an agent cannot choose as well"
+        )
+
+
+def _replacement(name: str, build: Replacement, inside: SearchParts) -> System:
+    system = build(inside)
+    system.set_name(name)
+    check_output(system, REPLACEABLE[name])
+    return system
 
 
 def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:

@@ -14,6 +14,7 @@ from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
     GroundTruthTargetDetector,
 )
+from xray_drake.search.wiring import check_output, connect_inputs
 from xray_drake.station.scenario import Scenario
 
 
@@ -40,6 +41,9 @@ def add_perception(
     station: System,
     labels: Mapping[str, int],
     target: str,
+    *,
+    detector: System | None = None,
+    segmenter: System | None = None,
 ) -> Perception:
     """Adds ``target_detector``, ``instance_segmenter``, and ``depth_sensor``.
 
@@ -51,51 +55,50 @@ def add_perception(
         station: with the overhead camera's images.
         labels: object name to its value in the label image.
         target: the target's name.
+        detector: takes the place of the scenario's.
+        segmenter: takes the place of the scenario's.
+
+    Raises:
+        ValueError: one of these has an input that nothing is for, or not the
+            output that it should have.
     """
     config, camera = scenario.perception, scenario.camera
     size = {"width": camera.width, "height": camera.height}
-    label_image = station.GetOutputPort(f"{camera.name}.label_image")
-    camera_port = station.GetOutputPort(f"{camera.name}.camera")
+    sources = {
+        port: station.GetOutputPort(f"{camera.name}.{port}")
+        for port in ("color_image", "depth_image", "label_image", "camera")
+    }
     depth: tuple[System, str] = station, f"{camera.name}.depth_image"
     boxes: list[System] = []
 
     def add(system: System) -> System:
         boxes.append(builder.AddSystem(system))
+        connect_inputs(builder, system, sources)
         return system
 
-    if config.detector == "hsv":
-        detector = add(HsvTargetDetector(config=config.hsv, **size))
-        builder.Connect(
-            station.GetOutputPort(f"{camera.name}.color_image"),
-            detector.GetInputPort("color_image"),
-        )
-    else:
-        detector = add(GroundTruthTargetDetector(target_label=labels[target]))
-        builder.Connect(label_image, detector.GetInputPort("label_image"))
-
     if config.noise:
-        sensor = add(
-            NoisyDepthSensor(
-                noise=config.depth_noise, seed=scenario.seed, **size
-            )
+        depth = (
+            add(
+                NoisyDepthSensor(
+                    noise=config.depth_noise, seed=scenario.seed, **size
+                )
+            ),
+            "depth_image",
         )
-        builder.Connect(
-            depth[0].GetOutputPort(depth[1]), sensor.GetInputPort("depth_image")
-        )
-        builder.Connect(camera_port, sensor.GetInputPort("camera"))
-        depth = sensor, "depth_image"
+        sources["depth_image"] = depth[0].GetOutputPort("depth_image")
 
-    if config.segmenter == "depth":
-        segmenter = add(
-            DepthInstanceSegmenter(config=config.depth_segmenter, **size)
+    if detector is None and config.detector == "hsv":
+        detector = HsvTargetDetector(config=config.hsv, **size)
+    elif detector is None:
+        detector = GroundTruthTargetDetector(target_label=labels[target])
+    check_output(add(detector), "target_mask")
+    sources["target_mask"] = detector.GetOutputPort("target_mask")
+
+    if segmenter is None and config.segmenter == "depth":
+        segmenter = DepthInstanceSegmenter(
+            config=config.depth_segmenter, **size
         )
-        for output, port in (
-            (depth[0].GetOutputPort(depth[1]), "depth_image"),
-            (camera_port, "camera"),
-            (detector.GetOutputPort("target_mask"), "target_mask"),
-        ):
-            builder.Connect(output, segmenter.GetInputPort(port))
-    else:
-        segmenter = add(GroundTruthInstanceSegmenter(labels=labels))
-        builder.Connect(label_image, segmenter.GetInputPort("label_image"))
+    elif segmenter is None:
+        segmenter = GroundTruthInstanceSegmenter(labels=labels)
+    check_output(add(segmenter), "instances")
     return Perception(detector, segmenter, depth, boxes)

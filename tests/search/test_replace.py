@@ -1,0 +1,165 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.sensors import ImageDepth32F
+
+from xray_drake.messages import (
+    GripperMode,
+    GripperStatus,
+    InstanceMasks,
+    OccupancyDistribution,
+    SearchAction,
+    TargetMask,
+)
+from xray_drake.scene.heap import Heap
+from xray_drake.search.diagram import SearchParts, build_search_diagram
+from xray_drake.search.rollout import run_search
+from xray_drake.station.scenario import Scenario
+
+
+class Everywhere(LeafSystem):
+    """Says that the target may be under anything that stands out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort(
+            "depth_image", Value(ImageDepth32F(512, 384))
+        )
+        self.DeclareAbstractOutputPort(
+            "occupancy",
+            alloc=lambda: Value(OccupancyDistribution()),
+            calc=self._calc,
+        )
+
+    def _calc(self, context: Context, output: Value) -> None:
+        depth = self.GetInputPort("depth_image").Eval(context).data[:, :, 0]
+        output.set_value(
+            OccupancyDistribution((depth < 0.79).astype(np.float32))
+        )
+
+
+class ByName(LeafSystem):
+    """Takes the objects in the order of their names."""
+
+    def __init__(self, parts: SearchParts) -> None:
+        super().__init__()
+        self._parts = parts
+        self.DeclareAbstractInputPort("instances", Value(InstanceMasks()))
+        self.DeclareAbstractInputPort("status", Value(GripperStatus()))
+        self._decided = self.DeclareAbstractState(Value(SearchAction()))
+        self.DeclareStateOutputPort("action", self._decided)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(0.05, 0.0, self._decide)
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        status = self.GetInputPort("status").Eval(context)
+        last = context.get_abstract_state(self._decided).get_value()
+        if status.mode is not GripperMode.IDLE or status.number != last.number:
+            return EventStatus.DidNothing()
+        instances = self.GetInputPort("instances").Eval(context)
+        grasp = self._parts.planner.plan(
+            min(instances.names), dict(self._parts.heap.poses)
+        )
+        state.get_mutable_abstract_state(self._decided).set_value(
+            SearchAction(number=last.number + 1, grasp=grasp)
+        )
+        return EventStatus.Succeeded()
+
+
+def test_another_inference_and_another_policy(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    tiny_scenario.horizon = 2
+    diagram = build_search_diagram(
+        tiny_scenario,
+        heap=tiny_heap,
+        replace={
+            "occupancy_inference": lambda parts: Everywhere(),
+            "search_policy": ByName,
+        },
+    )
+    context = diagram.CreateDefaultContext()
+    rho = diagram.GetOutputPort("occupancy_inference.occupancy").Eval(context)
+    depth = diagram.GetOutputPort("overhead.depth_image").Eval(context).data
+    np.testing.assert_array_equal(rho.support(), depth[:, :, 0] < 0.79)
+    record = run_search(diagram)
+    assert [action.object for action in record.actions] == ["block", "book"]
+
+
+def test_a_detector_and_what_follows_it(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    class Blind(LeafSystem):
+        def __init__(self, parts: SearchParts) -> None:
+            super().__init__()
+            self.DeclareAbstractOutputPort(
+                "target_mask",
+                alloc=lambda: Value(TargetMask(np.zeros((384, 512), bool))),
+                calc=lambda context, output: None,
+            )
+
+    build = build_search_diagram
+    seeing = build(tiny_scenario, heap=tiny_heap)
+    blind = build(
+        tiny_scenario, heap=tiny_heap, replace={"target_detector": Blind}
+    )
+    supports = [
+        diagram.GetOutputPort("occupancy_inference.occupancy")
+        .Eval(diagram.CreateDefaultContext())
+        .support_size()
+        for diagram in (seeing, blind)
+    ]
+    assert supports[1] > 2 * supports[0] > 0
+
+
+class Mute(LeafSystem):
+    def __init__(self, parts: SearchParts) -> None:
+        super().__init__()
+        self.DeclareVectorOutputPort("answer", 1, lambda context, out: None)
+
+
+class Wishful(Everywhere):
+    def __init__(self, parts: SearchParts) -> None:
+        super().__init__()
+        self.DeclareVectorInputPort("wind", 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "build", "said"),
+    [
+        ("heap_station", Mute, r"heap_station cannot be replaced.*search_pol"),
+        (
+            "search_policy",
+            Mute,
+            r"search_policy needs an output 'action'; it has answer",
+        ),
+        (
+            "occupancy_inference",
+            Wishful,
+            r"occupancy_inference has an input 'wind'.*depth_image",
+        ),
+    ],
+)
+def test_what_does_not_fit(
+    name: str,
+    build: type,
+    said: str,
+    tiny_scenario: Scenario,
+    tiny_heap: Heap,
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        build_search_diagram(
+            tiny_scenario, heap=tiny_heap, replace={name: build}
+        )
+
+
+def test_an_agent_needs_the_policy(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    with pytest.raises(ValueError, match="agent"):
+        build_search_diagram(
+            tiny_scenario,
+            heap=tiny_heap,
+            agent=True,
+            replace={"search_policy": ByName},
+        )
