@@ -196,7 +196,9 @@ def build_search_diagram(
             seed=scenario.seed,
         )
     )
-    execution = add_execution(builder, scenario, station, parts, heap, planner)
+    execution = add_execution(
+        builder, scenario, station, parts, heap, planner, meshcat=meshcat
+    )
     gripper = execution.controller
     boxes = [*perception.boxes, occupancy, policy, *execution.boxes]
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder, System
 
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
@@ -13,6 +14,7 @@ from xray_drake.gripper.quasi_static import (
     QuasiStaticGripper,
 )
 from xray_drake.gripper.rest_sensor import RestSensor
+from xray_drake.gripper.seal_light import SealLight
 from xray_drake.gripper.suction import Cup
 from xray_drake.gripper.suction_cup import SuctionCup
 from xray_drake.gripper.yumi import YumiGripper
@@ -43,11 +45,14 @@ def add_execution(
     parts: StationParts,
     heap: Heap,
     judge: Judge,
+    *,
+    meshcat: Meshcat | None = None,
 ) -> Execution:
     """Adds ``gripper_controller``, by contact with all that it feels with.
 
-    By contact there are ``suction_cup`` and ``rest_sensor`` as well. Whatever
-    the execution, the rest of the diagram sees ``action`` and ``status`` alone.
+    By contact there are ``suction_cup`` and ``rest_sensor`` as well, and with a
+    Meshcat ``seal_light``. Whatever the execution, the rest of the diagram
+    sees ``action`` and ``status`` alone.
 
     Args:
         builder: holds the station already.
@@ -56,6 +61,7 @@ def add_execution(
         parts: its inside.
         heap: what lies in the bin.
         judge: says whether a grasp of the ideal gripper holds.
+        meshcat: shows, by contact, whether the suction cup has sealed.
     """
     bodies = {
         name: int(item.body.index()) for name, item in parts.objects.items()
@@ -68,6 +74,16 @@ def add_execution(
         execution, wires = _contact(
             builder, scenario, station, heap, bodies, parts.gripper
         )
+        if meshcat is not None:
+            light = builder.AddSystem(
+                SealLight(
+                    meshcat,
+                    parts.gripper.X_BC,
+                    sealed=scenario.gripper.contact.sealed,
+                )
+            )
+            cup = execution.boxes[1]
+            wires.append((cup, "state", light, "cup_state"))
     for source, output, drain, port in wires:
         builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
     return execution

@@ -1,0 +1,80 @@
+"""Shows in Meshcat whether the suction cup draws air and has sealed."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import Cylinder, Meshcat, Rgba
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, EventStatus, LeafSystem
+
+from xray_drake.gripper.suction import CupState
+
+GRIPPER_PATH = "visualizer/yumi_gripper/gripper_base"
+"""Where Drake's visualizer draws the gripper's base."""
+
+_COLORS = {"drawing": Rgba(0.95, 0.75, 0.1), "sealed": Rgba(0.1, 0.75, 0.25)}
+_RADIUS, _HEIGHT = 0.0155, 0.0035
+"""m: a sleeve around the cup's lip."""
+
+
+class SealLight(LeafSystem):
+    """Colours the suction cup's lip: yellow draws air, green has sealed.
+
+    .. pydrake_system::
+
+        name: SealLight
+        input_ports:
+        - cup_state
+
+    It changes what Meshcat shows, in recordings too, when ``cup_state``
+    (:class:`~xray_drake.gripper.suction.CupState`) does.
+    """
+
+    def __init__(
+        self,
+        meshcat: Meshcat,
+        X_BC: np.ndarray,
+        *,
+        sealed: float = 0.9,
+        period: float = 1 / 32,
+    ) -> None:
+        """Draws the sleeves, hidden.
+
+        Args:
+            meshcat: shows the gripper.
+            X_BC: 4×4 pose of the cup's lip in the gripper's base, m; z points
+                out of it.
+            sealed: share of the full vacuum from which it counts as sealed.
+            period: how often it looks, s.
+        """
+        super().__init__()
+        self.set_name("seal_light")
+        self._meshcat = meshcat
+        self._sealed = sealed
+        self._shown = ""
+        self._cup = self.DeclareAbstractInputPort(
+            "cup_state", Value(CupState())
+        )
+        for name, color in _COLORS.items():
+            path = f"{GRIPPER_PATH}/{name}"
+            meshcat.SetObject(path, Cylinder(_RADIUS, _HEIGHT), color)
+            X_CS = RigidTransform([0.0, 0.0, -_HEIGHT / 2])
+            meshcat.SetTransform(path, RigidTransform(X_BC) @ X_CS)
+            meshcat.SetProperty(path, "visible", False)
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
+
+    def _publish(self, context: Context) -> EventStatus:
+        state: CupState = self._cup.Eval(context)
+        shown = ""
+        if state.drawing:
+            shown = "sealed" if state.vacuum >= self._sealed else "drawing"
+        if shown == self._shown and context.get_time() > 0.0:
+            return EventStatus.DidNothing()
+        for name in _COLORS:
+            self._meshcat.SetProperty(
+                f"{GRIPPER_PATH}/{name}",
+                "visible",
+                name == shown,
+                time_in_recording=context.get_time(),
+            )
+        self._shown = shown
+        return EventStatus.Succeeded()
