@@ -60,6 +60,7 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 def scenario() -> Scenario:
     scenario = Scenario(name="tiny", seed=99)  # reset's seed replaces it
     scenario.scene.num_objects = 4
+    scenario.perception.occupancy = "exact"
     return scenario
 
 

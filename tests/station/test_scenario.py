@@ -428,5 +428,6 @@ def test_a_network_is_the_default_and_needs_images_of_its_sizes() -> None:
     scenario.camera.width = 500
     with pytest.raises(ScenarioError, match=r"multiples of 32.*exact"):
         check_scenario(scenario)
+    check_scenario(scenario, searched=False)  # heaps can be dropped
     scenario.perception.occupancy = "exact"
     check_scenario(scenario)

@@ -128,7 +128,9 @@ def collect(folders: Sequence[Path]) -> Collection:
         path = folder / SCENARIO
         if not records or not path.is_file():
             raise ValueError(f"{folder} holds no rollouts of a benchmark")
-        scenario = parse_scenario(path.read_text(encoding="utf-8"), str(path))
+        scenario = parse_scenario(
+            path.read_text(encoding="utf-8"), str(path), searched=False
+        )
         first = first or (folder, scenario)
         if _heaps_alone(scenario) != _heaps_alone(first[1]):
             raise ValueError(

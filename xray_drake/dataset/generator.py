@@ -204,7 +204,9 @@ class SampleMaker:
         self._manifest = manifest
         self._split = split
         self._clock = clock or _Clock()
-        self._scenario = parse_scenario(manifest.scenario, "dataset")
+        self._scenario = parse_scenario(
+            manifest.scenario, "dataset", searched=False
+        )
         self._scenario.scene.split = split
         self._library = split_of_imported(
             imported_objects(self._scenario), split

@@ -269,12 +269,15 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     return parse_scenario(text, str(path))
 
 
-def parse_scenario(text: str, source: str) -> Scenario:
+def parse_scenario(
+    text: str, source: str, *, searched: bool = True
+) -> Scenario:
     """Reads a scenario from YAML text; see :func:`load_scenario`.
 
     Args:
         text: YAML.
         source: where it came from, for messages.
+        searched: see :func:`check_scenario`.
 
     Raises:
         ScenarioError: as :func:`load_scenario`.
@@ -301,7 +304,7 @@ def parse_scenario(text: str, source: str) -> Scenario:
     except Exception as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: {message}") from error
-    check_scenario(scenario, source)
+    check_scenario(scenario, source, searched=searched)
     return scenario
 
 
@@ -324,8 +327,17 @@ def dump_scenario(scenario: Scenario) -> str:
     return yaml_dump_typed(scenario, schema=Scenario, defaults=defaults)
 
 
-def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
+def check_scenario(
+    scenario: Scenario, source: str = "scenario", *, searched: bool = True
+) -> None:
     """Checks what the types cannot.
+
+    Args:
+        scenario: to be checked.
+        source: where it came from, for messages.
+        searched: a search is to be run: the network's weights must be there,
+            and fit the camera. What was recorded elsewhere can be read, and
+            heaps be dropped, without.
 
     Raises:
         ScenarioError: a choice that does not exist or a number out of range.
@@ -405,7 +417,8 @@ def check_scenario(scenario: Scenario, source: str = "scenario") -> None:
             "models: of what is found in depth no model is known; choose "
             "gripper.grasps: depth"
         )
-    _check_weights(scenario.perception, scenario.camera, source)
+    if searched:
+        _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)
     _check_plant(scenario.plant_config, source)
     if scenario.gripper.execution == "contact":
