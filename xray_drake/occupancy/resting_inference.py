@@ -1,0 +1,424 @@
+"""▲ Exact inference for a target that is tall and may lie on any face.
+
+The paper names such targets as its first failure: "objects that are
+significantly non-planar. Currently, the assumption that the object is flat can
+result in incorrect occupancy distributions for taller objects" (section VI).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.resting import resting_poses
+from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy.exact_config import ExactInferenceConfig
+from xray_drake.occupancy.floor_grid import Floor, observed_heights
+from xray_drake.occupancy.observation import check_observation
+from xray_drake.occupancy.seen import AcceptanceRule, pose_range
+from xray_drake.occupancy.standing import StandingTarget, View
+from xray_drake.occupancy.standing_kernels import (
+    add_accepted,
+    count_common,
+    count_hidden,
+    count_shown,
+)
+from xray_drake.scene.object_model import ObjectModel
+
+_COVERED = 0.8
+"""A hidden target's surroundings hide at least this share of its area ..."""
+
+_QUANTILE, _TALL = 0.4, 0.4
+"""... and so high as ``_QUANTILE`` of its area is, at least ``_TALL`` of it."""
+
+
+class RestingInference:
+    """Finds where a target can be that rests on any of its faces.
+
+    As :class:`xray_drake.occupancy.exact.ExactInference`, with three
+    differences. The candidates are all resting poses
+    (:func:`xray_drake.geometry.resting.resting_poses`) at every pixel and
+    orientation; each counts with the probability of its pose and with the area
+    of the floor that its pixel stands for. What a candidate would show is
+    decided pixel by pixel, by the height of its own surface there in true
+    perspective, so that its sides count, and what only hides its foot does not
+    hide its top. And it must keep inside the bin's walls, while its image may
+    reach beyond the floor's, as the top of a tall thing at a wall does.
+
+    Where part of the target is seen, candidates are accepted relative to the
+    best IoU over all resting poses: those that cannot explain what is seen are
+    out.
+    """
+
+    def __init__(
+        self,
+        target: ObjectModel,
+        config: ExactInferenceConfig | None = None,
+    ) -> None:
+        """Finds the resting poses.
+
+        Args:
+            target: what is searched for.
+            config: the numbers.
+
+        Raises:
+            ValueError: no rotation, a step that is not positive, or a target
+                without a resting pose.
+        """
+        config = config or ExactInferenceConfig()
+        if config.rotations < 1 or config.seen_step <= 0:
+            raise ValueError(
+                f"need at least one rotation and a positive step, not "
+                f"{config.rotations} and {config.seen_step}"
+            )
+        self.config = config
+        x_low, x_high, y_low, y_high = config.floor
+        self._floor = Floor((x_low, x_high), (y_low, y_high))
+        self.bodies = tuple(
+            StandingTarget(target.visual, target.p_OCom, pose)
+            for pose in resting_poses(
+                target.visual, target.p_OCom, least_share=config.least_share
+            )
+        )
+        self._tallest = max(body.height for body in self.bodies)
+        self._lowest = min(body.height for body in self.bodies)
+
+    def angles(self, body: StandingTarget) -> np.ndarray:
+        """Returns the (k,) orientations of one that is hidden, rad."""
+        return body.angles(self.config.rotations)
+
+    def seen_angles(self, body: StandingTarget) -> np.ndarray:
+        """Returns the (k,) orientations of one that is seen, rad."""
+        rotations = self.config.rotations
+        steps = 2 * np.pi * body.radius / self.config.seen_step
+        return body.angles(rotations * max(1, int(np.ceil(steps / rotations))))
+
+    def infer(
+        self,
+        depth: np.ndarray,
+        target_mask: np.ndarray,
+        camera: PinholeCamera,
+    ) -> OccupancyDistribution:
+        """Infers where the target can be.
+
+        Args:
+            depth: (H, W) float32 z-depth of the scene, m; 0, inf and NaN are
+                no reading and hide nothing.
+            target_mask: (H, W) bool, the target's modal mask as detected;
+                blank where it is not seen.
+            camera: the camera of both.
+
+        Returns:
+            The distribution; all zero if the target cannot be anywhere.
+
+        Raises:
+            ValueError: an array of another shape, a depth image without any
+                reading, or a camera that is not above the target.
+        """
+        depth = np.asarray(depth, dtype=np.float32)
+        mask = np.array(target_mask, dtype=bool)
+        check_observation(depth, mask, camera)
+        if camera.X_WC[2, 3] <= self._tallest:
+            raise ValueError(
+                f"the camera must be above the target, not at z = "
+                f"{camera.X_WC[2, 3]:.3f} m"
+            )
+        config = self.config
+        heights = observed_heights(depth, camera, config.depth_tolerance)
+        mask &= self._inside_bin(camera)
+        if mask.any():
+            total = self._seen(heights, mask, camera)
+        else:
+            total = self._hidden(heights, camera)
+        low = min(config.floor_height, self._lowest / 2)
+        total[(heights < low) & (heights > -np.inf) & ~mask] = 0
+        largest = total.max()
+        if largest > 0:
+            total /= largest
+        return OccupancyDistribution(
+            data=total, support_threshold=0.0, method="exact"
+        )
+
+    def _inside_bin(self, camera: PinholeCamera) -> np.ndarray:
+        """Returns the (H, W) pixels that can show a target in the bin."""
+        planes = self._floor.half_planes(self.config.floor_tolerance)
+        result = np.zeros(camera.shape, dtype=bool)
+        for height in (0.0, self._tallest):
+            xy = camera.unproject(camera.plane_depth(height))[..., :2]
+            result |= (xy @ planes[:, :2].T <= planes[:, 2]).all(axis=-1)
+        return result
+
+    def _hidden(self, heights: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+        """Counts the poses of a target that is not seen, (H, W) float32."""
+        config, view = self.config, View.of(camera)
+        change = np.zeros((camera.height, camera.width + 1))
+        for body in self.bodies:
+            blocks = _Blocks.on_floor(body, camera, self._floor)
+            reach = body.reach(camera, self._floor)
+            blocks = blocks.that_hide(body, heights, view, reach)
+            if not len(blocks.corners):
+                continue
+            angles = self.angles(body)
+            weights = blocks.weights(body, camera) / len(angles)
+            for angle in angles:
+                turned = body.turned(angle)
+                count_hidden(
+                    heights,
+                    blocks.corners,
+                    blocks.side,
+                    weights,
+                    config.blank_tolerance,
+                    turned,
+                    body.faces,
+                    reach,
+                    body.middle,
+                    *view.parts(),
+                    body.room(turned, self._floor, config.floor_tolerance),
+                    change,
+                )
+        return _summed(change)
+
+    def _seen(
+        self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> np.ndarray:
+        """Counts the poses of a target that is seen, (H, W) float32."""
+        config, view = self.config, View.of(camera)
+        running = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
+        np.cumsum(mask, axis=1, out=running[:, 1:])
+        size = int(np.count_nonzero(mask))
+        tries = list(self._tries(mask, running, camera, view))
+        if not tries or max(tried.most for tried in tries) <= 0:
+            return mask.astype(np.float32)
+        weight = np.array([tried.weight for tried in tries])
+        area = np.array([tried.area for tried in tries])
+        rule = AcceptanceRule(config, size, float(weight @ area / weight.sum()))
+        least = max(rule.least_common(max(tried.most for tried in tries)), 1.0)
+        tries = [tried for tried in tries if tried.most >= least]
+        tries.sort(key=lambda tried: -tried.most)
+
+        best = 0.0
+        shown = []
+        for tried in tries:
+            counts, best = count_shown(
+                heights,
+                mask,
+                tried.common,
+                least,
+                tried.blocks.corners,
+                tried.blocks.side,
+                1,
+                size,
+                not rule.fragment,
+                config.accept_iou,
+                config.trusted_iou,
+                best,
+                *tried.drawn(view),
+            )
+            shown.append(counts)
+        near = [tried.common >= least for tried in tries]
+        accepted = rule.accepted(
+            torch.from_numpy(
+                np.concatenate(
+                    [t.common[n] for t, n in zip(tries, near, strict=True)]
+                ).astype(np.float32)
+            ),
+            torch.from_numpy(
+                np.concatenate(
+                    [s[n] for s, n in zip(shown, near, strict=True)]
+                ).astype(np.float32)
+            ),
+        ).numpy()
+
+        change = np.zeros((camera.height, camera.width + 1))
+        first = 0
+        for tried, candidates in zip(tries, near, strict=True):
+            last = first + int(np.count_nonzero(candidates))
+            chosen = np.zeros(candidates.shape, dtype=bool)
+            chosen[candidates] = accepted[first:last]
+            first = last
+            add_accepted(
+                chosen,
+                tried.weight * tried.blocks.weights(tried.body, camera),
+                tried.blocks.corners,
+                tried.blocks.side,
+                1,
+                *tried.drawn(view),
+                change,
+            )
+        return _summed(change)
+
+    def _tries(
+        self,
+        mask: np.ndarray,
+        running: np.ndarray,
+        camera: PinholeCamera,
+        view: View,
+    ) -> Iterator["_Tried"]:
+        """Moves every body over the mask, in every orientation."""
+        for body in self.bodies:
+            reach = body.reach(camera, self._floor)
+            rows = pose_range(mask.sum(axis=1), reach)
+            columns = pose_range(mask.sum(axis=0), reach)
+            side = body.block_side(camera)
+            blocks = _Blocks.over(rows, columns, side)
+            angles = self.seen_angles(body)
+            for angle in angles:
+                tried = _Tried(
+                    body,
+                    body.turned(angle),
+                    reach,
+                    blocks,
+                    1 / len(angles),
+                )
+                tolerance = self.config.floor_tolerance
+                tried.common, areas = count_common(
+                    running,
+                    blocks.corners,
+                    blocks.side,
+                    1,
+                    *tried.drawn(view),
+                    body.room(tried.turned, self._floor, tolerance),
+                )
+                tried.most = int(tried.common.max())
+                tried.area = float(areas.mean())
+                yield tried
+
+
+@dataclass(eq=False)
+class _Tried:
+    """A body in one orientation, moved over a mask.
+
+    Attributes:
+        body: the body.
+        turned: its (n, 3) vertices, m.
+        reach: half width of its drawing, pixels.
+        blocks: where it was moved.
+        weight: of each candidate, but for its pose and its pixel.
+        common: (b, n, n) pixels shared with the mask, −1 where it does not
+            keep in place.
+        most: the most of them.
+        area: mean area of its silhouettes, pixels.
+    """
+
+    body: StandingTarget
+    turned: np.ndarray
+    reach: int
+    blocks: "_Blocks"
+    weight: float
+    common: np.ndarray = None  # type: ignore[assignment]
+    most: int = 0
+    area: float = 0.0
+
+    def drawn(self, view: View) -> tuple:
+        """Returns what the loops take to draw it, in their order."""
+        return (
+            self.turned,
+            self.body.faces,
+            self.reach,
+            self.body.middle,
+            *view.parts(),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Squares of pixels where a body's axis may be.
+
+    Attributes:
+        corners: (b, 2) first row and column of each.
+        side: pixels.
+    """
+
+    corners: np.ndarray
+    side: int
+
+    @staticmethod
+    def over(
+        rows: tuple[int, int], columns: tuple[int, int], side: int
+    ) -> "_Blocks":
+        """Covers first to last row and column."""
+        v, u = np.meshgrid(
+            np.arange(rows[0], rows[1] + 1, side),
+            np.arange(columns[0], columns[1] + 1, side),
+            indexing="ij",
+        )
+        return _Blocks(np.column_stack([v.ravel(), u.ravel()]), side)
+
+    @staticmethod
+    def on_floor(
+        body: StandingTarget, camera: PinholeCamera, floor: Floor
+    ) -> "_Blocks":
+        """Covers where the axis of a body on the floor is in the image."""
+        corners = np.pad(
+            floor.corners(), ((0, 0), (0, 1)), constant_values=body.middle
+        )
+        uv = camera.project(corners)[:, :2]
+        high = np.array([camera.width - 1, camera.height - 1])
+        first = np.floor(uv.min(axis=0)).clip(0, high).astype(int)
+        last = np.ceil(uv.max(axis=0)).clip(0, high).astype(int)
+        return _Blocks.over(
+            (first[1], last[1]),
+            (first[0], last[0]),
+            body.block_side(camera),
+        )
+
+    def that_hide(
+        self,
+        body: StandingTarget,
+        heights: np.ndarray,
+        view: View,
+        reach: int,
+    ) -> "_Blocks":
+        """Leaves out blocks around which too little could hide a body.
+
+        Args:
+            body: which.
+            heights: (H, W) of the observed surface, m.
+            view: the camera.
+            reach: half width of its drawing, pixels.
+        """
+        middle = np.array(heights.shape[::-1]) / 2
+        drawn = body.draw(0.0, middle, view, reach)
+        own = drawn[drawn >= 0]
+        tall = float(np.quantile(own, _QUANTILE))
+        keep = np.ones(len(self.corners), dtype=bool)
+        width = 2 * reach + 1 + self.side
+        for level, share in ((1e-3, _COVERED), (0.98 * tall, _TALL)):
+            hides = (heights >= level).astype(np.float32)
+            around = cv2.boxFilter(
+                hides,
+                cv2.CV_32F,
+                (width, width),
+                normalize=False,
+                borderType=cv2.BORDER_CONSTANT,
+            )
+            at = np.minimum(
+                self.corners + self.side // 2, np.array(heights.shape) - 1
+            )
+            keep &= around[at[:, 0], at[:, 1]] >= share * len(own)
+        return _Blocks(np.ascontiguousarray(self.corners[keep]), self.side)
+
+    def weights(
+        self, body: StandingTarget, camera: PinholeCamera
+    ) -> np.ndarray:
+        """Returns (b,) floor per pixel, times the pose's probability.
+
+        A pixel at z-depth d shows d³/(f²·c) of a plane c below the camera.
+        """
+        middle = self.corners + self.side // 2
+        ray = camera.pixel_to_ray
+        slope = ray[2, 0] * middle[:, 1] + ray[2, 1] * middle[:, 0] + ray[2, 2]
+        with np.errstate(divide="ignore"):
+            relative = np.maximum(-1 / slope, 0.0) ** 3
+        return body.probability * relative
+
+
+def _summed(change: np.ndarray) -> np.ndarray:
+    """Adds differences up along the rows; returns (H, W) float32."""
+    total = np.cumsum(change, axis=1)[:, :-1]
+    # What is left over of differences that cancel.
+    total[total < 1e-9 * max(float(total.max()), 1e-30)] = 0
+    return total.astype(np.float32)
