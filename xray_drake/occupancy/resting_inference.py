@@ -5,7 +5,6 @@ significantly non-planar. Currently, the assumption that the object is flat can
 result in incorrect occupancy distributions for taller objects" (section VI).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -25,8 +24,16 @@ from xray_drake.occupancy.standing_kernels import (
     count_common,
     count_hidden,
     count_shown,
+    with_neighbours,
 )
 from xray_drake.scene.object_model import ObjectModel
+
+_STEP = 2
+"""Pixels between the candidates of a target that is not seen, and of the first
+look at one that is."""
+
+_MARGIN = 0.2
+"""What candidates of that first look may lack of each share asked for."""
 
 _COVERED = 0.8
 """A hidden target's surroundings hide at least this share of its area ..."""
@@ -154,6 +161,7 @@ class RestingInference:
     def _hidden(self, heights: np.ndarray, camera: PinholeCamera) -> np.ndarray:
         """Counts the poses of a target that is not seen, (H, W) float32."""
         config, view = self.config, View.of(camera)
+        observed = with_neighbours(heights)
         change = np.zeros((camera.height, camera.width + 1))
         for body in self.bodies:
             blocks = _Blocks.on_floor(body, camera, self._floor)
@@ -166,9 +174,10 @@ class RestingInference:
             for angle in angles:
                 turned = body.turned(angle)
                 count_hidden(
-                    heights,
+                    observed,
                     blocks.corners,
                     blocks.side,
+                    _STEP,
                     weights,
                     config.blank_tolerance,
                     turned,
@@ -185,63 +194,26 @@ class RestingInference:
         self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
         """Counts the poses of a target that is seen, (H, W) float32."""
-        config, view = self.config, View.of(camera)
+        view = View.of(camera)
+        # Where the target is observed, it shows.
+        shows = with_neighbours(np.where(mask, np.float32(-np.inf), heights))
         running = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
         np.cumsum(mask, axis=1, out=running[:, 1:])
-        size = int(np.count_nonzero(mask))
-        tries = list(self._tries(mask, running, camera, view))
-        if not tries or max(tried.most for tried in tries) <= 0:
+        first = self._first_tries(mask, camera)
+        coarse = self._compare(first, shows, running, view, _STEP, _MARGIN)
+        if coarse is None:
             return mask.astype(np.float32)
-        weight = np.array([tried.weight for tried in tries])
-        area = np.array([tried.area for tried in tries])
-        rule = AcceptanceRule(config, size, float(weight @ area / weight.sum()))
-        least = max(rule.least_common(max(tried.most for tried in tries)), 1.0)
-        tries = [tried for tried in tries if tried.most >= least]
-        tries.sort(key=lambda tried: -tried.most)
-
-        best = 0.0
-        shown = []
-        for tried in tries:
-            counts, best = count_shown(
-                heights,
-                mask,
-                tried.common,
-                least,
-                tried.blocks.corners,
-                tried.blocks.side,
-                1,
-                size,
-                not rule.fragment,
-                config.accept_iou,
-                config.trusted_iou,
-                best,
-                *tried.drawn(view),
-            )
-            shown.append(counts)
-        near = [tried.common >= least for tried in tries]
-        accepted = rule.accepted(
-            torch.from_numpy(
-                np.concatenate(
-                    [t.common[n] for t, n in zip(tries, near, strict=True)]
-                ).astype(np.float32)
-            ),
-            torch.from_numpy(
-                np.concatenate(
-                    [s[n] for s, n in zip(shown, near, strict=True)]
-                ).astype(np.float32)
-            ),
-        ).numpy()
-
+        fine = self._compare(
+            self._finer(first, coarse), shows, running, view, 1, 0.0
+        )
+        if fine is None:
+            return mask.astype(np.float32)
         change = np.zeros((camera.height, camera.width + 1))
-        first = 0
-        for tried, candidates in zip(tries, near, strict=True):
-            last = first + int(np.count_nonzero(candidates))
-            chosen = np.zeros(candidates.shape, dtype=bool)
-            chosen[candidates] = accepted[first:last]
-            first = last
+        for tried, accepted in fine:
+            turns = len(self.seen_angles(tried.body))
             add_accepted(
-                chosen,
-                tried.weight * tried.blocks.weights(tried.body, camera),
+                accepted,
+                tried.blocks.weights(tried.body, camera) / turns,
                 tried.blocks.corners,
                 tried.blocks.side,
                 1,
@@ -250,72 +222,197 @@ class RestingInference:
             )
         return _summed(change)
 
-    def _tries(
-        self,
-        mask: np.ndarray,
-        running: np.ndarray,
-        camera: PinholeCamera,
-        view: View,
-    ) -> Iterator["_Tried"]:
-        """Moves every body over the mask, in every orientation."""
+    def _first_tries(
+        self, mask: np.ndarray, camera: PinholeCamera
+    ) -> list["_Tried"]:
+        """Returns every body, in as few orientations as if it were hidden."""
+        tries = []
         for body in self.bodies:
             reach = body.reach(camera, self._floor)
-            rows = pose_range(mask.sum(axis=1), reach)
-            columns = pose_range(mask.sum(axis=0), reach)
-            side = body.block_side(camera)
-            blocks = _Blocks.over(rows, columns, side)
+            blocks = _Blocks.over(
+                pose_range(mask.sum(axis=1), reach),
+                pose_range(mask.sum(axis=0), reach),
+                body.block_side(camera),
+            )
+            tries += [
+                _Tried(body, float(angle), reach, blocks)
+                for angle in self.angles(body)
+            ]
+        return tries
+
+    def _finer(
+        self,
+        tries: list["_Tried"],
+        found: list[tuple["_Tried", np.ndarray]],
+    ) -> list["_Tried"]:
+        """Returns what to look at more closely.
+
+        Args:
+            tries: all that were compared.
+            found: those of them that came near, and where.
+
+        Returns:
+            In all orientations up to the next of those tried, the blocks that
+            came near in the one before or after.
+        """
+        near: dict[tuple[int, int], np.ndarray] = {}
+        for tried, accepted in found:
+            index = self.bodies.index(tried.body)
+            number = round(tried.angle / (2 * np.pi) * self.config.rotations)
+            near[index, number] = accepted.any(axis=(1, 2))
+        finer = []
+        for index, body in enumerate(self.bodies):
+            of_body = [tried for tried in tries if tried.body is body]
+            steps = len(of_body)
             angles = self.seen_angles(body)
-            for angle in angles:
-                tried = _Tried(
-                    body,
-                    body.turned(angle),
-                    reach,
-                    blocks,
-                    1 / len(angles),
-                )
-                tolerance = self.config.floor_tolerance
-                tried.common, areas = count_common(
-                    running,
-                    blocks.corners,
-                    blocks.side,
-                    1,
-                    *tried.drawn(view),
-                    body.room(tried.turned, self._floor, tolerance),
-                )
-                tried.most = int(tried.common.max())
-                tried.area = float(areas.mean())
-                yield tried
+            for i, angle in enumerate(angles):
+                before = i * steps // len(angles)
+                after = -(-i * steps // len(angles)) % steps
+                keep = np.zeros(len(of_body[0].blocks.corners), dtype=bool)
+                for number in {before, after}:
+                    if (index, number) in near:
+                        keep |= near[index, number]
+                if keep.any():
+                    blocks = of_body[0].blocks
+                    blocks = _Blocks(
+                        np.ascontiguousarray(blocks.corners[keep]), blocks.side
+                    )
+                    finer.append(
+                        _Tried(body, float(angle), of_body[0].reach, blocks)
+                    )
+        return finer
+
+    def _compare(
+        self,
+        tries: list["_Tried"],
+        shows: np.ndarray,
+        running: np.ndarray,
+        view: View,
+        step: int,
+        slack: float,
+    ) -> list[tuple["_Tried", np.ndarray]] | None:
+        """Compares candidates with the observed mask.
+
+        Args:
+            tries: bodies in an orientation, and where.
+            shows: heights of the observed surface, −inf in the mask, as from
+                ``with_neighbours``.
+            running: (H, W + 1) sums of the mask along each row.
+            view: the camera.
+            step: between candidates, pixels.
+            slack: taken off each share that is asked for.
+
+        Returns:
+            Those with accepted candidates, and (b, n, n) bool which these are;
+            None where none meets the mask.
+        """
+        config, size = self.config, int(running[:, -1].sum())
+        counts, areas = [], []
+        for tried in tries:
+            common, area = count_common(
+                running,
+                tried.blocks.corners,
+                tried.blocks.side,
+                step,
+                *tried.drawn(view),
+                tried.room(self._floor, config.floor_tolerance),
+            )
+            counts.append(common)
+            areas.append(area.mean())
+        most = max((int(common.max()) for common in counts), default=0)
+        if most <= 0:
+            return None
+        typical = self._typical(tries, areas)
+        rule = AcceptanceRule(config, size, typical)
+        least = (config.accept_coverage - slack) * most
+        if not rule.fragment:
+            share = config.accept_iou - slack
+            least = min(least, share * config.trusted_iou * size)
+        # The most promising first: others are then soon found to be worse.
+        order = sorted(range(len(tries)), key=lambda k: -int(counts[k].max()))
+        order = [k for k in order if counts[k].max() >= least]
+        limits = np.array(
+            [
+                size,
+                config.accept_iou - slack,
+                config.trusted_iou,
+                (config.accept_spill + slack) * typical,
+                rule.fragment,
+            ]
+        )
+        best = np.array([0.0, np.inf])
+        shown = [
+            count_shown(
+                shows,
+                counts[k],
+                least,
+                tries[k].blocks.corners,
+                tries[k].blocks.side,
+                step,
+                limits,
+                best,
+                *tries[k].drawn(view),
+            )
+            for k in order
+        ]
+        near = [counts[k] >= max(least, 1) for k in order]
+        common = _joined([counts[k] for k in order], near)
+        area = _joined(shown, near)
+        accepted = rule.accepted(common, area, slack)
+        if slack > 0 and not rule.fragment:
+            # Perhaps, looked at more closely, the best can be trusted.
+            iou = common / (area + (size - common))
+            accepted |= iou >= (config.accept_iou - slack) * iou.max()
+        found = []
+        first = 0
+        for k, candidates in zip(order, near, strict=True):
+            last = first + int(np.count_nonzero(candidates))
+            chosen = np.zeros(candidates.shape, dtype=bool)
+            chosen[candidates] = accepted[first:last].numpy()
+            first = last
+            if chosen.any():
+                found.append((tries[k], chosen))
+        return found
+
+    def _typical(self, tries: list["_Tried"], areas: list[float]) -> float:
+        """Returns the mean area of a silhouette, pixels.
+
+        Args:
+            tries: some of each body, or of those that are left.
+            areas: mean of the silhouettes of each.
+        """
+        of_body: dict[int, list[float]] = {}
+        for tried, area in zip(tries, areas, strict=True):
+            of_body.setdefault(self.bodies.index(tried.body), []).append(area)
+        weights = [self.bodies[k].probability for k in of_body]
+        means = [float(np.mean(of_body[k])) for k in of_body]
+        return float(np.average(means, weights=weights))
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Tried:
-    """A body in one orientation, moved over a mask.
+    """A body in one orientation, and where its axis may be.
 
     Attributes:
         body: the body.
-        turned: its (n, 3) vertices, m.
+        angle: its turn about the vertical, rad.
         reach: half width of its drawing, pixels.
-        blocks: where it was moved.
-        weight: of each candidate, but for its pose and its pixel.
-        common: (b, n, n) pixels shared with the mask, −1 where it does not
-            keep in place.
-        most: the most of them.
-        area: mean area of its silhouettes, pixels.
+        blocks: where its axis may be.
     """
 
     body: StandingTarget
-    turned: np.ndarray
+    angle: float
     reach: int
     blocks: "_Blocks"
-    weight: float
-    common: np.ndarray = None  # type: ignore[assignment]
-    most: int = 0
-    area: float = 0.0
+
+    def room(self, floor: Floor, slack: float) -> np.ndarray:
+        """Returns (4,) bounds of its axis; see ``StandingTarget.room``."""
+        return self.body.room(self.body.turned(self.angle), floor, slack)
 
     def drawn(self, view: View) -> tuple:
         """Returns what the loops take to draw it, in their order."""
         return (
-            self.turned,
+            self.body.turned(self.angle),
             self.body.faces,
             self.reach,
             self.body.middle,
@@ -414,6 +511,14 @@ class _Blocks:
         with np.errstate(divide="ignore"):
             relative = np.maximum(-1 / slope, 0.0) ** 3
         return body.probability * relative
+
+
+def _joined(
+    counts: list[np.ndarray], chosen: list[np.ndarray]
+) -> torch.Tensor:
+    """Returns the chosen counts one after another, float32."""
+    parts = [c[n] for c, n in zip(counts, chosen, strict=True)]
+    return torch.from_numpy(np.concatenate(parts).astype(np.float32))
 
 
 def _summed(change: np.ndarray) -> np.ndarray:

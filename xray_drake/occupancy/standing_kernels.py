@@ -6,6 +6,7 @@ pixels. Numba keeps what it compiles beside this file, or in the user's cache
 where that is read-only, so that only the first process pays.
 """
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -14,8 +15,12 @@ from xray_drake.geometry.height_map import draw_nearest
 _OUT = -1
 """What stands for the count of a candidate that does not keep in place."""
 
-_STRIDE = 37
-"""Cells are compared so far apart, that what is plainly seen ends it early."""
+TILE = 4
+"""Cells of a silhouette are compared in tiles so large: where all that is
+observed is higher, or lower, than all of the tile, that is one comparison."""
+
+_STRIDE = 11
+"""Tiles are compared so far apart that what is plainly seen ends it early."""
 
 
 @njit(cache=True)
@@ -78,35 +83,56 @@ def draw_body(
         box[2], box[3] = min(box[2], v), max(box[3], v)
         points[i, 0], points[i, 1] = u + reach, v + reach
         nearness[i] = 1.0 / cz
-    canvas[:] = 0.0
+    canvas[:] = -1.0
     draw_nearest(points, nearness, faces, canvas)
-    for row in range(canvas.shape[0]):
-        for column in range(canvas.shape[1]):
+    rows, columns = _spans(box, reach)
+    for row in range(rows[0], rows[1]):
+        for column in range(columns[0], columns[1]):
             if canvas[row, column] > 0.0:
                 u = pixel[0] + column - reach
                 v = pixel[1] + row - reach
                 slope = ray[2, 0] * u + ray[2, 1] * v + ray[2, 2]
                 height = center[2] + slope / canvas[row, column]
                 canvas[row, column] = max(height, 0.0)
-            else:
-                canvas[row, column] = -1.0
     return box
 
 
 @njit(cache=True)
-def _runs(canvas: np.ndarray, runs: np.ndarray) -> tuple[int, int]:
+def _spans(
+    box: np.ndarray, reach: int
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Returns the rows and columns of a canvas that a body's box covers."""
+    most = 2 * reach + 1
+    return (
+        (
+            max(int(np.floor(box[2])) + reach, 0),
+            min(int(np.ceil(box[3])) + reach + 1, most),
+        ),
+        (
+            max(int(np.floor(box[0])) + reach, 0),
+            min(int(np.ceil(box[1])) + reach + 1, most),
+        ),
+    )
+
+
+@njit(cache=True)
+def _runs(
+    canvas: np.ndarray, box: np.ndarray, runs: np.ndarray
+) -> tuple[int, int]:
     """Lists a silhouette's runs; returns their number and its area.
 
     Args:
         canvas: as from ``draw_body``.
+        box: as from ``draw_body``.
         runs: (many, 3) overwritten: row, first column, one past the last, from
             the middle.
     """
     reach = canvas.shape[0] // 2
     count, area = 0, 0
-    for row in range(canvas.shape[0]):
+    rows, columns = _spans(box, reach)
+    for row in range(rows[0], rows[1]):
         inside = False
-        for column in range(canvas.shape[1]):
+        for column in range(columns[0], columns[1]):
             if canvas[row, column] >= 0.0:
                 area += 1
                 if not inside:
@@ -118,41 +144,115 @@ def _runs(canvas: np.ndarray, runs: np.ndarray) -> tuple[int, int]:
                 count += 1
                 inside = False
         if inside:
-            runs[count, 2] = canvas.shape[1] - reach
+            runs[count, 2] = columns[1] - reach
             count += 1
     return count, area
 
 
 @njit(cache=True)
-def _cells(
+def _tiles(
     canvas: np.ndarray,
+    box: np.ndarray,
+    tiles: np.ndarray,
+    bounds: np.ndarray,
     places: np.ndarray,
     heights: np.ndarray,
-    ordered: np.ndarray,
-) -> int:
-    """Lists a silhouette's cells, neighbours far apart; returns their number.
+) -> tuple[int, int]:
+    """Sorts a silhouette's cells into tiles.
 
     Args:
         canvas: as from ``draw_body``.
-        places: (many, 2) overwritten: row and column from the middle.
-        heights: (many,) overwritten, m.
-        ordered: (many, 2), room to work in.
+        box: as from ``draw_body``.
+        tiles: (many, 4) overwritten: first row and column from the middle,
+            index of the first cell, number of cells.
+        bounds: (many, 2) overwritten: least and greatest height, m.
+        places: (many, 2) overwritten: row and column of each cell.
+        heights: (many,) overwritten: its height, m.
+
+    Returns:
+        The number of tiles and of cells.
     """
     reach = canvas.shape[0] // 2
-    count = 0
-    for row in range(canvas.shape[0]):
-        for column in range(canvas.shape[1]):
-            if canvas[row, column] >= 0.0:
-                ordered[count, 0], ordered[count, 1] = row, column
-                count += 1
-    k = 0
+    rows, columns = _spans(box, reach)
+    down = (rows[1] - rows[0] + TILE - 1) // TILE
+    across = (columns[1] - columns[0] + TILE - 1) // TILE
+    number, area = 0, 0
     for first in range(_STRIDE):
-        for i in range(first, count, _STRIDE):
-            row, column = ordered[i, 0], ordered[i, 1]
-            places[k, 0], places[k, 1] = row - reach, column - reach
-            heights[k] = canvas[row, column]
-            k += 1
-    return count
+        for i in range(first, down * across, _STRIDE):
+            top = rows[0] + (i // across) * TILE
+            left = columns[0] + (i % across) * TILE
+            start = area
+            low, high = np.inf, -np.inf
+            for row in range(top, min(top + TILE, rows[1])):
+                for column in range(left, min(left + TILE, columns[1])):
+                    value = canvas[row, column]
+                    if value >= 0.0:
+                        places[area, 0] = row - reach
+                        places[area, 1] = column - reach
+                        heights[area] = value
+                        area += 1
+                        low, high = min(low, value), max(high, value)
+            if area > start:
+                tiles[number, 0], tiles[number, 1] = top - reach, left - reach
+                tiles[number, 2], tiles[number, 3] = start, area - start
+                bounds[number, 0], bounds[number, 1] = low, high
+                number += 1
+    return number, area
+
+
+def with_neighbours(observed: np.ndarray) -> np.ndarray:
+    """Returns what ``_shows`` takes of an (H, W) float32 image of heights."""
+    padded = np.pad(observed, TILE, constant_values=-np.inf)
+    window = np.ones((TILE, TILE), dtype=np.uint8)
+    return np.stack(
+        [
+            padded,
+            cv2.erode(padded, window, anchor=(0, 0)),
+            # OpenCV mirrors the window of a dilation.
+            cv2.dilate(padded, window, anchor=(0, 0)),
+        ]
+    )
+
+
+@njit(cache=True)
+def _shows(
+    v: int,
+    u: int,
+    number: int,
+    tiles: np.ndarray,
+    bounds: np.ndarray,
+    places: np.ndarray,
+    heights: np.ndarray,
+    observed: np.ndarray,
+    most: int,
+) -> int:
+    """Counts the pixels a candidate would show; stops beyond ``most``.
+
+    Args:
+        v: row of its axis.
+        u: column of it.
+        number: of tiles; they are as from ``_tiles``.
+        tiles: see there, and so are ``bounds``, ``places`` and ``heights``.
+        observed: (3, H + 2·TILE, W + 2·TILE): heights of the observed surface
+            with TILE more pixels on each side, m; the least and the greatest
+            of the TILE² pixels right of and below each.
+        most: pixels.
+    """
+    seen = 0
+    for t in range(number):
+        row, column = v + tiles[t, 0] + TILE, u + tiles[t, 1] + TILE
+        if observed[1, row, column] >= bounds[t, 1]:
+            continue
+        if observed[2, row, column] < bounds[t, 0]:
+            seen += tiles[t, 3]
+        else:
+            for i in range(tiles[t, 2], tiles[t, 2] + tiles[t, 3]):
+                row, column = v + places[i, 0] + TILE, u + places[i, 1] + TILE
+                if observed[0, row, column] < heights[i]:
+                    seen += 1
+        if seen > most:
+            break
+    return seen
 
 
 @njit(cache=True)
@@ -191,6 +291,7 @@ def count_hidden(
     observed: np.ndarray,
     blocks: np.ndarray,
     side: int,
+    step: int,
     weights: np.ndarray,
     allowed: float,
     vertices: np.ndarray,
@@ -207,10 +308,10 @@ def count_hidden(
     """Adds the candidates of one orientation that would not be seen.
 
     Args:
-        observed: (H, W) height of the observed surface, m; −inf where there
-            is no reading.
+        observed: as in ``_shows``.
         blocks: (b, 2) first row and column of each block of candidates.
         side: of a block, pixels.
+        step: between candidates, pixels.
         weights: (b,) what a candidate counts.
         allowed: share of its silhouette that it may show.
         vertices: as in ``draw_body``, and so are ``faces``, ``middle``,
@@ -223,11 +324,12 @@ def count_hidden(
     Returns:
         The number of accepted candidates.
     """
-    shape = observed.shape
+    shape = change.shape[0], change.shape[1] - 1
     canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
     runs = np.empty(((reach + 1) * (2 * reach + 1), 3), dtype=np.int64)
+    tiles = np.empty((canvas.size, 4), dtype=np.int64)
+    bounds = np.empty((canvas.size, 2), dtype=np.float32)
     places = np.empty((canvas.size, 2), dtype=np.int64)
-    spare = np.empty((canvas.size, 2), dtype=np.int64)
     heights = np.empty(canvas.size, dtype=np.float32)
     pixel = np.empty(2)
     accepted = 0
@@ -238,30 +340,25 @@ def count_hidden(
             vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
             canvas,
         )
-        area = _cells(canvas, places, heights, spare)
+        number, area = _tiles(canvas, box, tiles, bounds, places, heights)
         if area == 0:
             continue
-        number = -1
+        lines = -1
         most = int(allowed * area)
-        for v in range(blocks[b, 0], blocks[b, 0] + side):
-            for u in range(blocks[b, 1], blocks[b, 1] + side):
+        for v in range(blocks[b, 0], blocks[b, 0] + side, step):
+            for u in range(blocks[b, 1], blocks[b, 1] + side, step):
                 if not _keeps(u, v, box, shape, middle, ray, center, room):
                     continue
-                seen = 0
-                for i in range(area):
-                    row, column = v + places[i, 0], u + places[i, 1]
-                    if not (0 <= row < shape[0] and 0 <= column < shape[1]):
-                        continue
-                    if observed[row, column] < heights[i]:
-                        seen += 1
-                        if seen > most:
-                            break
+                seen = _shows(
+                    v, u, number, tiles, bounds, places, heights, observed,
+                    most,
+                )
                 if seen > most:
                     continue
-                if number < 0:
-                    number, _ = _runs(canvas, runs)
+                if lines < 0:
+                    lines, _ = _runs(canvas, box, runs)
                 accepted += 1
-                _add(change, runs, number, v, u, weights[b])
+                _add(change, runs, lines, v, u, weights[b])
     return accepted
 
 
@@ -324,7 +421,7 @@ def count_common(
             vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
             canvas,
         )
-        number, areas[b] = _runs(canvas, runs)
+        number, areas[b] = _runs(canvas, box, runs)
         for i in range(along):
             v = blocks[b, 0] + i * step
             for k in range(along):
@@ -345,17 +442,13 @@ def count_common(
 @njit(cache=True)
 def count_shown(
     observed: np.ndarray,
-    mask: np.ndarray,
     common: np.ndarray,
     least: float,
     blocks: np.ndarray,
     side: int,
     step: int,
-    size: int,
-    by_iou: bool,
-    share: float,
-    trusted: float,
-    best: float,
+    limits: np.ndarray,
+    best: np.ndarray,
     vertices: np.ndarray,
     faces: np.ndarray,
     reach: int,
@@ -364,74 +457,75 @@ def count_shown(
     center: np.ndarray,
     intrinsics: np.ndarray,
     rotation: np.ndarray,
-) -> tuple[np.ndarray, float]:
+) -> np.ndarray:
     """Counts the pixels that candidates would show.
 
-    Counting ends early where the candidate cannot reach ``share`` of the best
-    IoU found so far, if that is trusted; its count is then the whole
-    silhouette.
+    Counting ends early where a candidate is out: it cannot reach the share of
+    the best IoU found so far, if that is trusted; or, if coverage decides, it
+    shows too much more than the one that shows least. What is counted is then
+    the whole silhouette.
 
     Args:
-        observed: (H, W) as in ``count_hidden``.
-        mask: (H, W) bool, the observed modal mask, where the target shows.
+        observed: as in ``_shows``, and −inf in the observed mask, where the
+            target shows.
         common: as from ``count_common``.
         least: candidates that share fewer pixels are left out.
-        size: pixels of the mask.
-        by_iou: counting may end early.
-        share: of the best IoU that is asked for.
-        trusted: the least IoU by which is decided.
-        best: the best IoU so far.
+        limits: (5,) pixels of the mask; share of the best IoU that is asked
+            for; least IoU that is trusted; pixels that may be shown beyond
+            the mask more than by the one that shows least; 1 where coverage
+            alone decides, else 0.
+        best: (2,) best IoU and fewest pixels shown beyond the mask so far;
+            changed in place.
 
     The others are as in ``count_common``.
 
     Returns:
-        (b, n, n) int32, −1 for those left out; the best IoU.
+        (b, n, n) int32, −1 for those left out.
     """
-    shape = observed.shape
     canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
+    tiles = np.empty((canvas.size, 4), dtype=np.int64)
+    bounds = np.empty((canvas.size, 2), dtype=np.float32)
     places = np.empty((canvas.size, 2), dtype=np.int64)
-    spare = np.empty((canvas.size, 2), dtype=np.int64)
     heights = np.empty(canvas.size, dtype=np.float32)
     pixel = np.empty(2)
     shown = np.full(common.shape, _OUT, dtype=np.int32)
+    size, share, trusted, spread = limits[0], limits[1], limits[2], limits[3]
+    by_coverage = limits[4] > 0.0
     for b in range(len(blocks)):
         if common[b].max() < least:
             continue
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
-        draw_body(
+        box = draw_body(
             vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
             canvas,
         )
-        area = _cells(canvas, places, heights, spare)
+        number, area = _tiles(canvas, box, tiles, bounds, places, heights)
         for i in range(common.shape[1]):
             v = blocks[b, 0] + i * step
             for k in range(common.shape[2]):
                 together = common[b, i, k]
-                if together < least:
+                if together < least or together <= 0:
                     continue
                 u = blocks[b, 1] + k * step
                 most = area
-                if by_iou and best >= trusted:
+                if by_coverage:
+                    if best[1] < np.inf:
+                        most = min(most, int(best[1] + spread) + 1 + together)
+                elif best[0] >= trusted:
                     # together / (seen + size − together) ≥ share · best
-                    bound = together / (share * best) - size + together
+                    bound = together / (share * best[0]) - size + together
                     most = min(most, int(bound) + 1)
-                seen = 0
-                for j in range(area):
-                    row, column = v + places[j, 0], u + places[j, 1]
-                    if not (0 <= row < shape[0] and 0 <= column < shape[1]):
-                        continue
-                    if (
-                        mask[row, column]
-                        or observed[row, column] < heights[j]
-                    ):
-                        seen += 1
-                        if seen > most:
-                            break
+                seen = _shows(
+                    v, u, number, tiles, bounds, places, heights, observed,
+                    most,
+                )
                 shown[b, i, k] = area if seen > most else seen
                 if seen <= most:
-                    best = max(best, together / (seen + size - together))
-    return shown, best
+                    iou = together / (seen + size - together)
+                    best[0] = max(best[0], iou)
+                    best[1] = min(best[1], seen - together)
+    return shown
 
 
 @njit(cache=True)
@@ -463,11 +557,11 @@ def add_accepted(
             continue
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
-        draw_body(
+        box = draw_body(
             vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
             canvas,
         )
-        number, _ = _runs(canvas, runs)
+        number, _ = _runs(canvas, box, runs)
         for i in range(accepted.shape[1]):
             for k in range(accepted.shape[2]):
                 if accepted[b, i, k]:
