@@ -25,15 +25,13 @@ class RestingPose:
     Attributes:
         R_WO: (3, 3) orientation of the body in the world, z up.
         probability: share of the throws that end so.
+        downs: (k, 3) which directions of the body frame point down: one for
+            each face of its hull on which it looks so.
     """
 
     R_WO: np.ndarray
     probability: float
-
-    @property
-    def down(self) -> np.ndarray:
-        """The (3,) direction of the body frame that points down."""
-        return -self.R_WO[2]
+    downs: np.ndarray
 
 
 def resting_poses(
@@ -91,6 +89,21 @@ def standing(vertices: np.ndarray, R_WO: np.ndarray) -> np.ndarray:
     return turned
 
 
+def lean(poses: tuple[RestingPose, ...], X_WO: np.ndarray) -> float:
+    """Returns the angle by which a body leans from its nearest resting pose.
+
+    Args:
+        poses: its resting poses.
+        X_WO: (4, 4) its pose.
+
+    Returns:
+        rad.
+    """
+    downs = np.concatenate([pose.downs for pose in poses])
+    nearest = float((downs @ -X_WO[2, :3]).max())
+    return float(np.arccos(np.clip(nearest, -1.0, 1.0)))
+
+
 def _find(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -108,6 +121,7 @@ def _find(
         raise ValueError("the mesh has no stable pose")
     poses: list[tuple[np.ndarray, np.ndarray]] = []
     totals: list[float] = []
+    downs: list[list[np.ndarray]] = []
     pitch = float(np.linalg.norm(np.ptp(vertices, axis=0))) / _REACH
     # A stable sort: equal shares keep the order in which they were found.
     for index in np.argsort(-shares.round(9), kind="stable"):
@@ -118,16 +132,19 @@ def _find(
         for k, (_, known) in enumerate(poses):
             if _is_same(known, heights, same):
                 totals[k] += float(shares[index])
+                downs[k].append(-R_WO[2])
                 break
         else:
             poses.append((R_WO, heights))
+            downs.append([-R_WO[2]])
             totals.append(float(shares[index]))
     share = np.array(totals) / sum(totals)
     kept = [k for k in np.argsort(-share, kind="stable")]
     kept = [k for k in kept if share[k] >= least_share or k == kept[0]]
     whole = sum(share[k] for k in kept)
     return tuple(
-        RestingPose(poses[k][0], float(share[k] / whole)) for k in kept
+        RestingPose(poses[k][0], float(share[k] / whole), np.array(downs[k]))
+        for k in kept
     )
 
 

@@ -7,13 +7,13 @@ result in incorrect occupancy distributions for taller objects" (section VI).
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.resting import resting_poses
 from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy.blocks import Blocks
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.observation import check_observation
@@ -28,18 +28,18 @@ from xray_drake.occupancy.standing_kernels import (
 )
 from xray_drake.scene.object_model import ObjectModel
 
-_STEP = 2
+HIDDEN_STEP = 2
 """Pixels between the candidates of a target that is not seen, and of the first
 look at one that is."""
 
 _MARGIN = 0.2
 """What candidates of that first look may lack of each share asked for."""
 
-_COVERED = 0.8
-"""A hidden target's surroundings hide at least this share of its area ..."""
+_SLACK = 0.05
+"""Candidates this close to acceptance are drawn once more, each where it is."""
 
-_QUANTILE, _TALL = 0.4, 0.4
-"""... and so high as ``_QUANTILE`` of its area is, at least ``_TALL`` of it."""
+_EXACT_MOST = 20_000
+"""Up to so many of them."""
 
 
 class RestingInference:
@@ -164,7 +164,7 @@ class RestingInference:
         observed = with_neighbours(heights)
         change = np.zeros((camera.height, camera.width + 1))
         for body in self.bodies:
-            blocks = _Blocks.on_floor(body, camera, self._floor)
+            blocks = Blocks.on_floor(body, camera, self._floor)
             reach = body.reach(camera, self._floor)
             blocks = blocks.that_hide(body, heights, view, reach)
             if not len(blocks.corners):
@@ -177,7 +177,7 @@ class RestingInference:
                     observed,
                     blocks.corners,
                     blocks.side,
-                    _STEP,
+                    HIDDEN_STEP,
                     weights,
                     config.blank_tolerance,
                     turned,
@@ -200,16 +200,25 @@ class RestingInference:
         running = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
         np.cumsum(mask, axis=1, out=running[:, 1:])
         first = self._first_tries(mask, camera)
-        coarse = self._compare(first, shows, running, view, _STEP, _MARGIN)
+        coarse = self._compare(
+            first, shows, running, view, HIDDEN_STEP, _MARGIN
+        )
         if coarse is None:
             return mask.astype(np.float32)
         fine = self._compare(
-            self._finer(first, coarse), shows, running, view, 1, 0.0
+            self._finer(first, coarse), shows, running, view, 1, _SLACK
         )
         if fine is None:
             return mask.astype(np.float32)
+        exact = [tried.alone(accepted) for tried, accepted in fine]
+        if sum(len(tried.blocks.corners) for tried in exact) > _EXACT_MOST:
+            # So many that none decides alone.
+            exact = [tried for tried, _ in fine]
+        chosen = self._compare(exact, shows, running, view, 1, 0.0)
+        if chosen is None:
+            return mask.astype(np.float32)
         change = np.zeros((camera.height, camera.width + 1))
-        for tried, accepted in fine:
+        for tried, accepted in chosen:
             turns = len(self.seen_angles(tried.body))
             add_accepted(
                 accepted,
@@ -229,7 +238,7 @@ class RestingInference:
         tries = []
         for body in self.bodies:
             reach = body.reach(camera, self._floor)
-            blocks = _Blocks.over(
+            blocks = Blocks.over(
                 pose_range(mask.sum(axis=1), reach),
                 pose_range(mask.sum(axis=0), reach),
                 body.block_side(camera),
@@ -274,7 +283,7 @@ class RestingInference:
                         keep |= near[index, number]
                 if keep.any():
                     blocks = of_body[0].blocks
-                    blocks = _Blocks(
+                    blocks = Blocks(
                         np.ascontiguousarray(blocks.corners[keep]), blocks.side
                     )
                     finer.append(
@@ -403,7 +412,17 @@ class _Tried:
     body: StandingTarget
     angle: float
     reach: int
-    blocks: "_Blocks"
+    blocks: Blocks
+
+    def alone(self, chosen: np.ndarray) -> "_Tried":
+        """Returns the (b, n, n) bool ``chosen`` candidates, each drawn alone.
+
+        They are one pixel apart.
+        """
+        block, row, column = np.nonzero(chosen)
+        corners = self.blocks.corners[block] + np.column_stack([row, column])
+        blocks = Blocks(np.ascontiguousarray(corners), 1)
+        return _Tried(self.body, self.angle, self.reach, blocks)
 
     def room(self, floor: Floor, slack: float) -> np.ndarray:
         """Returns (4,) bounds of its axis; see ``StandingTarget.room``."""
@@ -420,102 +439,7 @@ class _Tried:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Squares of pixels where a body's axis may be.
-
-    Attributes:
-        corners: (b, 2) first row and column of each.
-        side: pixels.
-    """
-
-    corners: np.ndarray
-    side: int
-
-    @staticmethod
-    def over(
-        rows: tuple[int, int], columns: tuple[int, int], side: int
-    ) -> "_Blocks":
-        """Covers first to last row and column."""
-        v, u = np.meshgrid(
-            np.arange(rows[0], rows[1] + 1, side),
-            np.arange(columns[0], columns[1] + 1, side),
-            indexing="ij",
-        )
-        return _Blocks(np.column_stack([v.ravel(), u.ravel()]), side)
-
-    @staticmethod
-    def on_floor(
-        body: StandingTarget, camera: PinholeCamera, floor: Floor
-    ) -> "_Blocks":
-        """Covers where the axis of a body on the floor is in the image."""
-        corners = np.pad(
-            floor.corners(), ((0, 0), (0, 1)), constant_values=body.middle
-        )
-        uv = camera.project(corners)[:, :2]
-        high = np.array([camera.width - 1, camera.height - 1])
-        first = np.floor(uv.min(axis=0)).clip(0, high).astype(int)
-        last = np.ceil(uv.max(axis=0)).clip(0, high).astype(int)
-        return _Blocks.over(
-            (first[1], last[1]),
-            (first[0], last[0]),
-            body.block_side(camera),
-        )
-
-    def that_hide(
-        self,
-        body: StandingTarget,
-        heights: np.ndarray,
-        view: View,
-        reach: int,
-    ) -> "_Blocks":
-        """Leaves out blocks around which too little could hide a body.
-
-        Args:
-            body: which.
-            heights: (H, W) of the observed surface, m.
-            view: the camera.
-            reach: half width of its drawing, pixels.
-        """
-        middle = np.array(heights.shape[::-1]) / 2
-        drawn = body.draw(0.0, middle, view, reach)
-        own = drawn[drawn >= 0]
-        tall = float(np.quantile(own, _QUANTILE))
-        keep = np.ones(len(self.corners), dtype=bool)
-        width = 2 * reach + 1 + self.side
-        for level, share in ((1e-3, _COVERED), (0.98 * tall, _TALL)):
-            hides = (heights >= level).astype(np.float32)
-            around = cv2.boxFilter(
-                hides,
-                cv2.CV_32F,
-                (width, width),
-                normalize=False,
-                borderType=cv2.BORDER_CONSTANT,
-            )
-            at = np.minimum(
-                self.corners + self.side // 2, np.array(heights.shape) - 1
-            )
-            keep &= around[at[:, 0], at[:, 1]] >= share * len(own)
-        return _Blocks(np.ascontiguousarray(self.corners[keep]), self.side)
-
-    def weights(
-        self, body: StandingTarget, camera: PinholeCamera
-    ) -> np.ndarray:
-        """Returns (b,) floor per pixel, times the pose's probability.
-
-        A pixel at z-depth d shows d³/(f²·c) of a plane c below the camera.
-        """
-        middle = self.corners + self.side // 2
-        ray = camera.pixel_to_ray
-        slope = ray[2, 0] * middle[:, 1] + ray[2, 1] * middle[:, 0] + ray[2, 2]
-        with np.errstate(divide="ignore"):
-            relative = np.maximum(-1 / slope, 0.0) ** 3
-        return body.probability * relative
-
-
-def _joined(
-    counts: list[np.ndarray], chosen: list[np.ndarray]
-) -> torch.Tensor:
+def _joined(counts: list[np.ndarray], chosen: list[np.ndarray]) -> torch.Tensor:
     """Returns the chosen counts one after another, float32."""
     parts = [c[n] for c, n in zip(counts, chosen, strict=True)]
     return torch.from_numpy(np.concatenate(parts).astype(np.float32))

@@ -124,7 +124,9 @@ class StandingTarget:
         most = 2 * _DRIFT * above / self.middle
         return int(np.clip(most, 1, _LARGEST_BLOCK))
 
-    def room(self, turned: np.ndarray, floor: Floor, slack: float) -> np.ndarray:
+    def room(
+        self, turned: np.ndarray, floor: Floor, slack: float
+    ) -> np.ndarray:
         """Returns (4,) bounds x low, x high, y low, y high of its axis, m.
 
         Within them it keeps inside the bin's walls.

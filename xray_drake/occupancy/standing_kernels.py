@@ -337,7 +337,14 @@ def count_hidden(
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
         box = draw_body(
-            vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
+            vertices,
+            faces,
+            pixel,
+            middle,
+            ray,
+            center,
+            intrinsics,
+            rotation,
             canvas,
         )
         number, area = _tiles(canvas, box, tiles, bounds, places, heights)
@@ -350,7 +357,14 @@ def count_hidden(
                 if not _keeps(u, v, box, shape, middle, ray, center, room):
                     continue
                 seen = _shows(
-                    v, u, number, tiles, bounds, places, heights, observed,
+                    v,
+                    u,
+                    number,
+                    tiles,
+                    bounds,
+                    places,
+                    heights,
+                    observed,
                     most,
                 )
                 if seen > most:
@@ -418,7 +432,14 @@ def count_common(
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
         box = draw_body(
-            vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
+            vertices,
+            faces,
+            pixel,
+            middle,
+            ray,
+            center,
+            intrinsics,
+            rotation,
             canvas,
         )
         number, areas[b] = _runs(canvas, box, runs)
@@ -497,7 +518,14 @@ def count_shown(
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
         box = draw_body(
-            vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
+            vertices,
+            faces,
+            pixel,
+            middle,
+            ray,
+            center,
+            intrinsics,
+            rotation,
             canvas,
         )
         number, area = _tiles(canvas, box, tiles, bounds, places, heights)
@@ -517,7 +545,14 @@ def count_shown(
                     bound = together / (share * best[0]) - size + together
                     most = min(most, int(bound) + 1)
                 seen = _shows(
-                    v, u, number, tiles, bounds, places, heights, observed,
+                    v,
+                    u,
+                    number,
+                    tiles,
+                    bounds,
+                    places,
+                    heights,
+                    observed,
                     most,
                 )
                 shown[b, i, k] = area if seen > most else seen
@@ -558,7 +593,14 @@ def add_accepted(
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
         box = draw_body(
-            vertices, faces, pixel, middle, ray, center, intrinsics, rotation,
+            vertices,
+            faces,
+            pixel,
+            middle,
+            ray,
+            center,
+            intrinsics,
+            rotation,
             canvas,
         )
         number, _ = _runs(canvas, box, runs)
