@@ -49,6 +49,14 @@ class Blocks:
         return Blocks(np.column_stack([v.ravel(), u.ravel()]), side)
 
     @staticmethod
+    def around(places: np.ndarray, side: int) -> "Blocks":
+        """Covers (n, 2) rows and columns, and the pixels next to them."""
+        steps = np.array([[v, u] for v in (-1, 0, 1) for u in (-1, 0, 1)])
+        beside = (places[:, None] + steps).reshape(-1, 2)
+        corners = np.unique(beside // side, axis=0) * side
+        return Blocks(np.ascontiguousarray(corners), side)
+
+    @staticmethod
     def on_floor(
         body: StandingTarget, camera: PinholeCamera, floor: Floor
     ) -> "Blocks":

@@ -35,6 +35,9 @@ look at one that is."""
 _MARGIN = 0.2
 """What candidates of that first look may lack of each share asked for."""
 
+_COARSE = 3
+"""Times as large are its blocks of candidates that are drawn once."""
+
 _SLACK = 0.05
 """Candidates this close to acceptance are drawn once more, each where it is."""
 
@@ -101,7 +104,7 @@ class RestingInference:
         """Returns the (k,) orientations of one that is seen, rad."""
         rotations = self.config.rotations
         steps = 2 * np.pi * body.radius / self.config.seen_step
-        return body.angles(rotations * max(1, int(np.ceil(steps / rotations))))
+        return body.angles(rotations, max(1, int(np.ceil(steps / rotations))))
 
     def infer(
         self,
@@ -200,21 +203,18 @@ class RestingInference:
         running = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
         np.cumsum(mask, axis=1, out=running[:, 1:])
         first = self._first_tries(mask, camera)
-        coarse = self._compare(
-            first, shows, running, view, HIDDEN_STEP, _MARGIN
-        )
+        seen = shows, running, self._typical(first, view), view
+        coarse = self._compare(first, *seen, HIDDEN_STEP, _MARGIN)
         if coarse is None:
             return mask.astype(np.float32)
-        fine = self._compare(
-            self._finer(first, coarse), shows, running, view, 1, _SLACK
-        )
+        fine = self._compare(self._finer(first, coarse), *seen, 1, _SLACK)
         if fine is None:
             return mask.astype(np.float32)
         exact = [tried.alone(accepted) for tried, accepted in fine]
         if sum(len(tried.blocks.corners) for tried in exact) > _EXACT_MOST:
             # So many that none decides alone.
             exact = [tried for tried, _ in fine]
-        chosen = self._compare(exact, shows, running, view, 1, 0.0)
+        chosen = self._compare(exact, *seen, 1, 0.0)
         if chosen is None:
             return mask.astype(np.float32)
         change = np.zeros((camera.height, camera.width + 1))
@@ -241,7 +241,7 @@ class RestingInference:
             blocks = Blocks.over(
                 pose_range(mask.sum(axis=1), reach),
                 pose_range(mask.sum(axis=0), reach),
-                body.block_side(camera),
+                body.block_side(camera, _COARSE),
             )
             tries += [
                 _Tried(body, float(angle), reach, blocks)
@@ -261,30 +261,32 @@ class RestingInference:
             found: those of them that came near, and where.
 
         Returns:
-            In all orientations up to the next of those tried, the blocks that
-            came near in the one before or after.
+            In all orientations up to the next of those tried, the blocks in
+            which something came near in the one before or after.
         """
-        near: dict[tuple[int, int], np.ndarray] = {}
-        for tried, accepted in found:
-            index = self.bodies.index(tried.body)
-            number = round(tried.angle / (2 * np.pi) * self.config.rotations)
-            near[index, number] = accepted.any(axis=(1, 2))
+        near = {
+            (tried.body, tried.angle): tried.alone(accepted, HIDDEN_STEP)
+            for tried, accepted in found
+        }
         finer = []
-        for index, body in enumerate(self.bodies):
+        for body in self.bodies:
             of_body = [tried for tried in tries if tried.body is body]
             steps = len(of_body)
             angles = self.seen_angles(body)
             for i, angle in enumerate(angles):
-                before = i * steps // len(angles)
-                after = -(-i * steps // len(angles)) % steps
-                keep = np.zeros(len(of_body[0].blocks.corners), dtype=bool)
-                for number in {before, after}:
-                    if (index, number) in near:
-                        keep |= near[index, number]
-                if keep.any():
-                    blocks = of_body[0].blocks
-                    blocks = Blocks(
-                        np.ascontiguousarray(blocks.corners[keep]), blocks.side
+                around = {
+                    i * steps // len(angles),
+                    -(-i * steps // len(angles)),
+                }
+                places = [
+                    near[body, of_body[k % steps].angle].blocks.corners
+                    for k in around
+                    if (body, of_body[k % steps].angle) in near
+                ]
+                if places:
+                    blocks = Blocks.around(
+                        np.concatenate(places),
+                        of_body[0].blocks.side // _COARSE,
                     )
                     finer.append(
                         _Tried(body, float(angle), of_body[0].reach, blocks)
@@ -296,6 +298,7 @@ class RestingInference:
         tries: list["_Tried"],
         shows: np.ndarray,
         running: np.ndarray,
+        typical: float,
         view: View,
         step: int,
         slack: float,
@@ -307,6 +310,7 @@ class RestingInference:
             shows: heights of the observed surface, −inf in the mask, as from
                 ``with_neighbours``.
             running: (H, W + 1) sums of the mask along each row.
+            typical: area of a silhouette, pixels.
             view: the camera.
             step: between candidates, pixels.
             slack: taken off each share that is asked for.
@@ -316,9 +320,8 @@ class RestingInference:
             None where none meets the mask.
         """
         config, size = self.config, int(running[:, -1].sum())
-        counts, areas = [], []
-        for tried in tries:
-            common, area = count_common(
+        counts = [
+            count_common(
                 running,
                 tried.blocks.corners,
                 tried.blocks.side,
@@ -326,12 +329,11 @@ class RestingInference:
                 *tried.drawn(view),
                 tried.room(self._floor, config.floor_tolerance),
             )
-            counts.append(common)
-            areas.append(area.mean())
+            for tried in tries
+        ]
         most = max((int(common.max()) for common in counts), default=0)
         if most <= 0:
             return None
-        typical = self._typical(tries, areas)
         rule = AcceptanceRule(config, size, typical)
         least = (config.accept_coverage - slack) * most
         if not rule.fragment:
@@ -364,7 +366,7 @@ class RestingInference:
             )
             for k in order
         ]
-        near = [counts[k] >= max(least, 1) for k in order]
+        near = [np.asarray(counts[k] >= max(least, 1)) for k in order]
         common = _joined([counts[k] for k in order], near)
         area = _joined(shown, near)
         accepted = rule.accepted(common, area, slack)
@@ -376,26 +378,32 @@ class RestingInference:
         first = 0
         for k, candidates in zip(order, near, strict=True):
             last = first + int(np.count_nonzero(candidates))
-            chosen = np.zeros(candidates.shape, dtype=bool)
-            chosen[candidates] = accepted[first:last].numpy()
+            chosen: np.ndarray = np.zeros(candidates.shape, dtype=bool)
+            np.place(chosen, candidates, accepted[first:last].numpy())
             first = last
             if chosen.any():
                 found.append((tries[k], chosen))
         return found
 
-    def _typical(self, tries: list["_Tried"], areas: list[float]) -> float:
+    def _typical(self, tries: list["_Tried"], view: View) -> float:
         """Returns the mean area of a silhouette, pixels.
 
         Args:
-            tries: some of each body, or of those that are left.
-            areas: mean of the silhouettes of each.
+            tries: all orientations of each body.
+            view: the camera.
         """
-        of_body: dict[int, list[float]] = {}
-        for tried, area in zip(tries, areas, strict=True):
-            of_body.setdefault(self.bodies.index(tried.body), []).append(area)
-        weights = [self.bodies[k].probability for k in of_body]
-        means = [float(np.mean(of_body[k])) for k in of_body]
-        return float(np.average(means, weights=weights))
+        areas, weights = [], []
+        for tried in tries:
+            corners, side = tried.blocks.corners, tried.blocks.side
+            middle = (corners.min(axis=0) + corners.max(axis=0) + side) // 2
+            drawn = tried.body.draw(
+                tried.angle, middle[::-1], view, tried.reach
+            )
+            areas.append(np.count_nonzero(drawn >= 0))
+            weights.append(
+                tried.body.probability / len(self.angles(tried.body))
+            )
+        return float(np.average(areas, weights=weights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,13 +422,14 @@ class _Tried:
     reach: int
     blocks: Blocks
 
-    def alone(self, chosen: np.ndarray) -> "_Tried":
+    def alone(self, chosen: np.ndarray, step: int = 1) -> "_Tried":
         """Returns the (b, n, n) bool ``chosen`` candidates, each drawn alone.
 
-        They are one pixel apart.
+        They are ``step`` pixels apart.
         """
         block, row, column = np.nonzero(chosen)
-        corners = self.blocks.corners[block] + np.column_stack([row, column])
+        within = step * np.column_stack([row, column])
+        corners = self.blocks.corners[block] + within
         blocks = Blocks(np.ascontiguousarray(corners), 1)
         return _Tried(self.body, self.angle, self.reach, blocks)
 
@@ -428,7 +437,18 @@ class _Tried:
         """Returns (4,) bounds of its axis; see ``StandingTarget.room``."""
         return self.body.room(self.body.turned(self.angle), floor, slack)
 
-    def drawn(self, view: View) -> tuple:
+    def drawn(
+        self, view: View
+    ) -> tuple[
+        np.ndarray,
+        np.ndarray,
+        int,
+        float,
+        np.ndarray,
+        np.ndarray,
+        np.ndarray,
+        np.ndarray,
+    ]:
         """Returns what the loops take to draw it, in their order."""
         return (
             self.body.turned(self.angle),

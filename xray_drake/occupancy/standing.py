@@ -48,7 +48,9 @@ class View:
             np.array(camera.X_WC[:3, :3]),
         )
 
-    def parts(self) -> tuple[np.ndarray, ...]:
+    def parts(
+        self,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Returns what the loops take, in their order."""
         return self.ray, self.center, self.intrinsics, self.rotation
 
@@ -80,14 +82,20 @@ class StandingTarget:
         self.radius = float(np.hypot(*self.vertices[:, :2].T).max())
         self.symmetry = turns_into_itself(self.vertices, self.faces)
 
-    def angles(self, rotations: int) -> np.ndarray:
-        """Returns the (k,) distinct of equally spaced angles, rad."""
+    def angles(self, rotations: int, times: int = 1) -> np.ndarray:
+        """Returns the (k,) distinct of equally spaced angles, rad.
+
+        Args:
+            rotations: over the full turn.
+            times: so many times as many, between those.
+        """
         order = max(
             n
             for n in range(1, self.symmetry + 1)
             if self.symmetry % n == 0 and rotations % n == 0
         )
-        return np.arange(rotations // order) * (2 * np.pi / rotations)
+        count = rotations // order * times
+        return np.arange(count) * (2 * np.pi / order / count)
 
     def turned(self, angle: float) -> np.ndarray:
         """Returns the (n, 3) vertices turned by ``angle`` about the axis."""
@@ -114,15 +122,19 @@ class StandingTarget:
         off = np.abs(seen - camera.project(axis)[:, None, :2])
         return int(np.ceil(off.max())) + 1
 
-    def block_side(self, camera: PinholeCamera) -> int:
+    def block_side(self, camera: PinholeCamera, times: int = 1) -> int:
         """Returns how large blocks of candidates may be, pixels.
 
         A body that is moved by d pixels, seen at half its height, shows its
         top moved by d·(c − h/2)/(c − h), c being the camera's height.
+
+        Args:
+            camera: the camera.
+            times: so many times as large, for a first look.
         """
         above = float(camera.X_WC[2, 3]) - self.height
         most = 2 * _DRIFT * above / self.middle
-        return int(np.clip(most, 1, _LARGEST_BLOCK))
+        return int(np.clip(most, 1, _LARGEST_BLOCK)) * times
 
     def room(
         self, turned: np.ndarray, floor: Floor, slack: float

@@ -116,10 +116,8 @@ def _spans(
 
 
 @njit(cache=True)
-def _runs(
-    canvas: np.ndarray, box: np.ndarray, runs: np.ndarray
-) -> tuple[int, int]:
-    """Lists a silhouette's runs; returns their number and its area.
+def _runs(canvas: np.ndarray, box: np.ndarray, runs: np.ndarray) -> int:
+    """Lists a silhouette's runs; returns their number.
 
     Args:
         canvas: as from ``draw_body``.
@@ -128,13 +126,12 @@ def _runs(
             the middle.
     """
     reach = canvas.shape[0] // 2
-    count, area = 0, 0
+    count = 0
     rows, columns = _spans(box, reach)
     for row in range(rows[0], rows[1]):
         inside = False
         for column in range(columns[0], columns[1]):
             if canvas[row, column] >= 0.0:
-                area += 1
                 if not inside:
                     runs[count, 0] = row - reach
                     runs[count, 1] = column - reach
@@ -146,7 +143,7 @@ def _runs(
         if inside:
             runs[count, 2] = columns[1] - reach
             count += 1
-    return count, area
+    return count
 
 
 @njit(cache=True)
@@ -232,7 +229,10 @@ def _shows(
         v: row of its axis.
         u: column of it.
         number: of tiles; they are as from ``_tiles``.
-        tiles: see there, and so are ``bounds``, ``places`` and ``heights``.
+        tiles: see there.
+        bounds: see there.
+        places: see there.
+        heights: see there.
         observed: (3, H + 2·TILE, W + 2·TILE): heights of the observed surface
             with TILE more pixels on each side, m; the least and the greatest
             of the TILE² pixels right of and below each.
@@ -314,9 +314,14 @@ def count_hidden(
         step: between candidates, pixels.
         weights: (b,) what a candidate counts.
         allowed: share of its silhouette that it may show.
-        vertices: as in ``draw_body``, and so are ``faces``, ``middle``,
-            ``ray``, ``center``, ``intrinsics`` and ``rotation``.
+        vertices: as in ``draw_body``.
+        faces: as in ``draw_body``.
         reach: half width of what a body is drawn on, pixels.
+        middle: as in ``draw_body``.
+        ray: as in ``draw_body``.
+        center: as in ``draw_body``.
+        intrinsics: as in ``draw_body``.
+        rotation: as in ``draw_body``.
         room: as in ``_keeps``.
         change: (H, W + 1) raised in place: along a row, the differences of
             the sum of the accepted silhouettes.
@@ -370,7 +375,7 @@ def count_hidden(
                 if seen > most:
                     continue
                 if lines < 0:
-                    lines, _ = _runs(canvas, box, runs)
+                    lines = _runs(canvas, box, runs)
                 accepted += 1
                 _add(change, runs, lines, v, u, weights[b])
     return accepted
@@ -408,18 +413,27 @@ def count_common(
     intrinsics: np.ndarray,
     rotation: np.ndarray,
     room: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> np.ndarray:
     """Counts the pixels that candidates share with the observed mask.
 
     Args:
         running: (H, W + 1) int32, sums of the mask along each row.
+        blocks: as in ``count_hidden``.
+        side: of a block, pixels.
         step: between candidates, pixels.
-
-    The others are as in ``count_hidden``.
+        vertices: as in ``draw_body``.
+        faces: as in ``draw_body``.
+        reach: half width of what a body is drawn on, pixels.
+        middle: as in ``draw_body``.
+        ray: as in ``draw_body``.
+        center: as in ``draw_body``.
+        intrinsics: as in ``draw_body``.
+        rotation: as in ``draw_body``.
+        room: as in ``_keeps``.
 
     Returns:
         (b, n, n) int32: of each block's candidates, by row and column; −1 for
-        those that do not keep in place. (b,) area of the silhouettes, pixels.
+        those that do not keep in place.
     """
     shape = running.shape[0], running.shape[1] - 1
     canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
@@ -427,7 +441,6 @@ def count_common(
     pixel = np.empty(2)
     along = (side + step - 1) // step
     common = np.full((len(blocks), along, along), _OUT, dtype=np.int32)
-    areas = np.zeros(len(blocks), dtype=np.int64)
     for b in range(len(blocks)):
         pixel[0] = blocks[b, 1] + side // 2
         pixel[1] = blocks[b, 0] + side // 2
@@ -442,7 +455,7 @@ def count_common(
             rotation,
             canvas,
         )
-        number, areas[b] = _runs(canvas, box, runs)
+        number = _runs(canvas, box, runs)
         for i in range(along):
             v = blocks[b, 0] + i * step
             for k in range(along):
@@ -457,7 +470,7 @@ def count_common(
                         last = min(max(u + runs[j, 2], 0), shape[1])
                         total += running[row, last] - running[row, first]
                 common[b, i, k] = total
-    return common, areas
+    return common
 
 
 @njit(cache=True)
@@ -491,14 +504,23 @@ def count_shown(
             target shows.
         common: as from ``count_common``.
         least: candidates that share fewer pixels are left out.
+        blocks: as in ``count_hidden``.
+        side: of a block, pixels.
+        step: between candidates, pixels.
         limits: (5,) pixels of the mask; share of the best IoU that is asked
             for; least IoU that is trusted; pixels that may be shown beyond
             the mask more than by the one that shows least; 1 where coverage
             alone decides, else 0.
         best: (2,) best IoU and fewest pixels shown beyond the mask so far;
             changed in place.
-
-    The others are as in ``count_common``.
+        vertices: as in ``draw_body``.
+        faces: as in ``draw_body``.
+        reach: half width of what a body is drawn on, pixels.
+        middle: as in ``draw_body``.
+        ray: as in ``draw_body``.
+        center: as in ``draw_body``.
+        intrinsics: as in ``draw_body``.
+        rotation: as in ``draw_body``.
 
     Returns:
         (b, n, n) int32, −1 for those left out.
@@ -580,9 +602,23 @@ def add_accepted(
     rotation: np.ndarray,
     change: np.ndarray,
 ) -> None:
-    """Adds the silhouettes of the (b, n, n) bool ``accepted`` candidates.
+    """Adds the silhouettes of accepted candidates.
 
-    The others are as in ``count_hidden`` and ``count_common``.
+    Args:
+        accepted: (b, n, n) bool: of each block's candidates.
+        weights: (b,) what a candidate counts.
+        blocks: as in ``count_hidden``.
+        side: of a block, pixels.
+        step: between candidates, pixels.
+        vertices: as in ``draw_body``.
+        faces: as in ``draw_body``.
+        reach: half width of what a body is drawn on, pixels.
+        middle: as in ``draw_body``.
+        ray: as in ``draw_body``.
+        center: as in ``draw_body``.
+        intrinsics: as in ``draw_body``.
+        rotation: as in ``draw_body``.
+        change: as in ``count_hidden``.
     """
     canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
     runs = np.empty(((reach + 1) * (2 * reach + 1), 3), dtype=np.int64)
@@ -603,7 +639,7 @@ def add_accepted(
             rotation,
             canvas,
         )
-        number, _ = _runs(canvas, box, runs)
+        number = _runs(canvas, box, runs)
         for i in range(accepted.shape[1]):
             for k in range(accepted.shape[2]):
                 if accepted[b, i, k]:

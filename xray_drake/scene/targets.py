@@ -1,8 +1,8 @@
 """The targets that are searched for: ten boxes, three things, two tall ones.
 
-The boxes and things are PROTOCOL.md's. All are red, weigh 600 kg/m³ and have their body origin at the centre of their
-bounding box, with x along the length, y along the width and z along the
-thickness, or upwards.
+The boxes and things are PROTOCOL.md's. All are red, weigh 600 kg/m³ and have
+their body origin at the centre of their bounding box, with x along the length,
+y along the width and z along the thickness, or upwards.
 """
 
 from functools import cache
