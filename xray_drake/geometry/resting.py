@@ -111,9 +111,10 @@ def _find(
     least_share: float,
     same: float,
 ) -> tuple[RestingPose, ...]:
-    hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
-    if not hull.volume > 0:
+    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    if len(spread) < 3 or spread[-1] <= 1e-9 * spread[0]:
         raise ValueError("a body without volume does not rest")
+    hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
     transforms, shares = trimesh.poses.compute_stable_poses(
         hull, center_mass=p_OCom, threshold=0.0
     )
