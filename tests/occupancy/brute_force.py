@@ -71,8 +71,17 @@ class BruteForce:
         depth: np.ndarray,
         mask: np.ndarray,
         camera: PinholeCamera,
+        *,
+        walls: bool = False,
     ) -> None:
+        """Prepares the rays.
+
+        Args:
+            walls: the body must keep inside the bin's walls, rather than its
+                image on the floor.
+        """
         self.config = config
+        self.walls = walls
         self.depth = depth.astype(float)
         self.mask = mask
         self.camera = camera
@@ -121,6 +130,8 @@ class BruteForce:
                     uv.max(axis=0) > np.array(self.camera.shape[::-1]) - 0.5
                 ).any():
                     continue
+                if self.walls and not self._inside_walls(corners):
+                    continue
                 v, u = np.mgrid[
                     max(low[1], 0) : high[1] + 1, max(low[0], 0) : high[0] + 1
                 ].reshape(2, -1)
@@ -146,7 +157,7 @@ class BruteForce:
                 | ~self.reading[v, u]
                 | self.mask[v, u]
             )
-            outside = ~self.on_floor[v, u]
+            outside = ~self.on_floor[v, u] & (not self.walls)
             starts = np.flatnonzero(np.diff(i, prepend=-1))
             for a, b in zip(starts, [*starts[1:], len(i)], strict=True):
                 if not outside[a:b].any():
@@ -155,6 +166,17 @@ class BruteForce:
                         np.stack([v[a:b], u[a:b]], axis=1),
                         visible[a:b],
                     )
+
+    def _inside_walls(self, corners: np.ndarray) -> bool:
+        x_low, x_high, y_low, y_high = self.config.floor
+        slack = self.config.floor_tolerance
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        return bool(
+            low[0] >= x_low - slack
+            and high[0] <= x_high + slack
+            and low[1] >= y_low - slack
+            and high[1] <= y_high + slack
+        )
 
     def worth_casting(self, poses: np.ndarray) -> np.ndarray:
         """Drops poses that are far from acceptance, by a sample of points.
@@ -215,28 +237,120 @@ class BruteForce:
 
     def _accepted_seen(self, poses: np.ndarray) -> list[np.ndarray]:
         """Returns the amodal pixels of each candidate that is accepted."""
-        config, size = self.config, np.count_nonzero(self.mask)
+        masks, area, cover = self.measure(poses)
+        typical = float(np.mean([len(px) for px in masks]))
+        size = np.count_nonzero(self.mask)
+        chosen = choose(self.config, size, area, cover, typical)
+        return [masks[i] for i in np.flatnonzero(chosen)]
+
+    def measure(
+        self, poses: np.ndarray
+    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+        """Returns amodal pixels, modal areas, and common ones with the mask."""
         masks, shown, common = [], [], []
         for _, px, seen in self.candidates(poses):
             modal = px[seen]
             masks.append(px)
             shown.append(len(modal))
             common.append(np.count_nonzero(self.mask[modal[:, 0], modal[:, 1]]))
-        area, cover = np.array(shown), np.array(common)
-        iou = cover / (area + size - cover)
-        typical = np.mean([len(px) for px in masks])
-        if (
-            iou.max() >= config.trusted_iou
-            and size >= config.fragment_share * typical
-        ):
-            chosen = iou >= config.accept_iou * iou.max()
-        else:
-            chosen = cover >= config.accept_coverage * cover.max()
-            spill = area - cover
-            least = spill[chosen].min()
-            chosen &= spill <= least + config.accept_spill * typical
-        return [masks[i] for i in np.flatnonzero(chosen)]
+        return masks, np.array(shown), np.array(common)
 
     def _shows_floor(self) -> np.ndarray:
         low = min(self.config.floor_height, self.mesh.extents[2] / 2)
         return self.reading & (self._height < low) & ~self.mask
+
+
+def choose(
+    config: ExactInferenceConfig,
+    size: int,
+    area: np.ndarray,
+    cover: np.ndarray,
+    typical: float,
+) -> np.ndarray:
+    """Returns which candidates of a target that is seen are accepted."""
+    iou = cover / (area + size - cover)
+    if (
+        iou.max() >= config.trusted_iou
+        and size >= config.fragment_share * typical
+    ):
+        return iou >= config.accept_iou * iou.max()
+    chosen = cover >= config.accept_coverage * cover.max()
+    spill = area - cover
+    least = spill[chosen].min()
+    return chosen & (spill <= least + config.accept_spill * typical)
+
+
+class RestingBruteForce:
+    """The reference over several ways to lie, each a mesh that stands."""
+
+    def __init__(
+        self,
+        meshes: list[trimesh.Trimesh],
+        probabilities: list[float],
+        config: ExactInferenceConfig,
+        depth: np.ndarray,
+        mask: np.ndarray,
+        camera: PinholeCamera,
+    ) -> None:
+        self.config = config
+        self.mask = mask
+        self.camera = camera
+        self.probabilities = probabilities
+        self.each = [
+            BruteForce(mesh, config, depth, mask, camera, walls=True)
+            for mesh in meshes
+        ]
+        lowest = min(meshes, key=lambda mesh: mesh.extents[2])
+        self.lowest = self.each[meshes.index(lowest)]
+
+    def infer(self, poses: list[np.ndarray]) -> np.ndarray:
+        """Returns the (H, W) distribution over each mesh's (n, 3) poses."""
+        total = np.zeros(self.camera.shape)
+        weights = [
+            p / len(np.unique(own[:, 2]))
+            for p, own in zip(self.probabilities, poses, strict=True)
+        ]
+        kept = [
+            one.worth_casting(own)
+            for one, own in zip(self.each, poses, strict=True)
+        ]
+        if self.mask.any():
+            found = [
+                one.measure(own)
+                for one, own in zip(self.each, kept, strict=True)
+            ]
+            chosen = choose(
+                self.config,
+                np.count_nonzero(self.mask),
+                np.concatenate([area for _, area, _ in found]),
+                np.concatenate([cover for _, _, cover in found]),
+                float(
+                    np.average(
+                        [
+                            np.mean([len(px) for px in masks])
+                            for masks, _, _ in found
+                            if masks
+                        ],
+                        weights=[
+                            p
+                            for p, (masks, _, _) in zip(
+                                self.probabilities, found, strict=True
+                            )
+                            if masks
+                        ],
+                    )
+                ),
+            )
+            masks = [px for each, _, _ in found for px in each]
+            owner = np.repeat(range(len(found)), [len(m) for m, _, _ in found])
+            for i in np.flatnonzero(chosen):
+                px = masks[i]
+                total[px[:, 0], px[:, 1]] += weights[owner[i]]
+        else:
+            allowed = self.config.blank_tolerance
+            for one, own, weight in zip(self.each, kept, weights, strict=True):
+                for _, px, seen in one.candidates(own):
+                    if np.count_nonzero(seen) <= allowed * len(seen):
+                        total[px[:, 0], px[:, 1]] += weight
+        total[self.lowest._shows_floor()] = 0
+        return total / max(total.max(), 1e-12)

@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from xray_drake.geometry.resting import resting_poses
 from xray_drake.scene import heap as module
 from xray_drake.scene.contact import ContactConfig, angular_damping
 from xray_drake.scene.heap import Heap, HeapConfig, HeapError, drop_heap
@@ -25,6 +26,7 @@ from xray_drake.scene.plant import (
 )
 from xray_drake.scene.rest import box_corners
 from xray_drake.scene.targets import target_model
+from xray_drake.seeding import stream
 
 TARGET = target_model("box_2to1")
 OBJECTS = [make_object(name) for name in ("brick_003", "disc_001", "star_002")]
@@ -385,3 +387,56 @@ def test_tilt_is_measured_from_either_face(
 
 def test_the_tiny_heap_of_the_tests_rests(tiny_heap: Heap) -> None:
     assert max(motion(tiny_heap, 0.5).values()) < 3e-4
+
+
+def test_a_flat_target_draws_from_no_other_stream(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So heaps over flat targets are as if there were no tall ones."""
+    asked = []
+
+    def recorded(seed: int, purpose: str, *numbers: int) -> Any:
+        asked.append((seed, purpose, *numbers))
+        return stream(seed, purpose, *numbers)
+
+    monkeypatch.setattr(module, "stream", recorded)
+    drop_heap(TARGET, OBJECTS[:1], 7)
+    assert asked == [(7, "heap", 1)]
+    asked.clear()
+    drop_heap(target_model("cube"), OBJECTS[:1], 7)
+    assert asked == [(7, "heap", 1), (7, "resting pose", 1)]
+
+
+def test_a_tall_target_falls_in_its_resting_poses() -> None:
+    mug = target_model("mug")
+    drop = module._Drop(
+        mug, OBJECTS[:1], stream(0, "heap", 1), HeapConfig(), None, None, None
+    )
+    poses = resting_poses(mug.visual, mug.p_OCom)
+    drawn = [drop._lying(seed, 1).matrix() for seed in range(300)]
+    assert np.array_equal(drop._lying(5, 1).matrix(), drawn[5])
+    share = [
+        np.mean([np.allclose(R, pose.R_WO, atol=1e-9) for R in drawn])
+        for pose in poses
+    ]
+    assert sum(share) == pytest.approx(1)
+    expected = np.array([pose.probability for pose in poses])
+    # Three standard deviations and a half.
+    slack = 3.5 * np.sqrt(expected * (1 - expected) / len(drawn))
+    assert (np.abs(np.array(share) - expected) <= slack).all()
+
+
+def test_a_tall_target_that_lies_on_a_face_does_not_lean() -> None:
+    cube = target_model("cube")
+    X = np.eye(4)
+    X[:3, :3] = RotationMatrix.MakeXRotation(np.pi / 2 + 0.1).matrix()
+    heap = Heap(
+        target=cube,
+        objects=(),
+        poses={"cube": X},
+        seed=0,
+        num_dropped=0,
+        attempts=1,
+        settle_time=0.0,
+    )
+    assert heap.target_tilt == pytest.approx(0.1, abs=1e-6)

@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from xray_drake.scene.targets import BOX_TARGETS, TARGET_NAMES, target_model
+from xray_drake.scene.targets import (
+    BOX_TARGETS,
+    TALL_TARGETS,
+    TARGET_NAMES,
+    size_in_any_pose,
+    target_model,
+)
 
 MOST_PIECES = {"lid": 9}
 
@@ -98,3 +104,38 @@ def test_unknown_target_names_those_there_are():
 def test_there_are_thirteen():
     assert len(BOX_TARGETS) == 10
     assert len(set(TARGET_NAMES)) == 13
+
+
+def test_the_mug_is_hollow_and_has_a_handle():
+    mug = target_model("mug").visual
+    # One handle: the hole between bar and wall.
+    assert 2 - mug.euler_number == 2
+    assert mug.is_watertight
+    np.testing.assert_allclose(mug.extents, [0.097, 0.07, 0.08], atol=1e-3)
+    np.testing.assert_allclose(mug.bounds.sum(axis=0), 0, atol=1e-3)
+    x = -(mug.extents[0] - 0.07) / 2
+    inside = [[x, 0, 0.03], [x, 0, -0.0385], [x + 0.033, 0, 0.0]]
+    assert mug.contains(inside).tolist() == [False, True, True]
+    # Between bar and wall, and in the bar.
+    beside = [[x + 0.044, 0, 0.0], [x + 0.058, 0, 0.0]]
+    assert mug.contains(beside).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("name", TALL_TARGETS)
+def test_tall_targets_collide_as_they_look(name):
+    model = target_model(name)
+    corners = np.concatenate(model.pieces)
+    extents = np.ptp(corners, axis=0)
+    np.testing.assert_allclose(extents, model.extents, rtol=0.05)
+
+
+def test_size_in_any_pose():
+    flat = target_model("box_2to1")
+    np.testing.assert_array_equal(size_in_any_pose(flat), flat.extents)
+    cube = target_model("cube")
+    length, width, thickness = size_in_any_pose(cube)
+    assert np.hypot(length, width) == pytest.approx(0.06 * 3**0.5)
+    assert length * width == pytest.approx(0.06**2)
+    assert thickness < 0.005
+    for name in TALL_TARGETS:
+        assert np.isfinite(size_in_any_pose(target_model(name))).all()

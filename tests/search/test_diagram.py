@@ -11,10 +11,17 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
+from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.resting_inference import RestingInference
 from xray_drake.scene.heap import Heap
+from xray_drake.scene.targets import target_model
 from xray_drake.search import diagram as module
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
-from xray_drake.station.scenario import Scenario, ScenarioError
+from xray_drake.station.scenario import (
+    Scenario,
+    ScenarioError,
+    check_scenario,
+)
 
 BOXES = (
     "heap_station",
@@ -229,3 +236,16 @@ def test_a_bad_scenario_is_found_out_before_the_drop(
     tiny_scenario.policy.name = "greedy"
     with pytest.raises(ScenarioError, match="greedy"):
         build_search_diagram(tiny_scenario)
+
+
+def test_a_tall_target_may_rest_on_any_face() -> None:
+    scenario = Scenario()
+    scenario.scene.target = "cube"
+    scenario.perception.occupancy = "exact"
+    scenario.perception.exact.poses = "resting"
+    check_scenario(scenario)
+    inference = module._inference(scenario, target_model("cube"))
+    assert isinstance(inference, RestingInference)
+    scenario.perception.exact.poses = "flat"
+    flat = module._inference(scenario, target_model("cube"))
+    assert isinstance(flat, ExactInference)

@@ -5,7 +5,7 @@ import pytest
 from pydrake.common.schema import Rotation
 from pydrake.common.yaml import yaml_dump_typed
 
-from xray_drake.scene.targets import TARGET_NAMES
+from xray_drake.scene.targets import TALL_TARGETS, TARGET_NAMES
 from xray_drake.station.scenario import (
     Scenario,
     ScenarioError,
@@ -207,7 +207,14 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("scene: {target: spoon}", ["scene.target", "'spoon'", *TARGET_NAMES]),
+        (
+            "scene: {target: spoon}",
+            ["scene.target", "'spoon'", *TARGET_NAMES, *TALL_TARGETS],
+        ),
+        (
+            "perception: {exact: {poses: upright}}",
+            ["perception.exact.poses", "'upright'", "flat, resting"],
+        ),
         ("policy: {name: greedy}", ["policy.name", "xray, largest, random"]),
         (
             "perception: {detector: eye}",

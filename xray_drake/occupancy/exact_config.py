@@ -2,11 +2,19 @@
 
 from dataclasses import dataclass, field
 
+POSES = ("flat", "resting")
+
 
 @dataclass
 class ExactInferenceConfig:
-    """Numbers of ``ExactInference``."""
+    """Numbers of exact inference."""
 
+    # How the target can lie: "flat", body z axis up (``ExactInference``), or
+    # "resting", on every face on which it does not topple
+    # (``RestingInference``).
+    poses: str = "flat"
+    # "resting": ways to lie that are less probable than this are left out.
+    least_share: float = 0.03
     # Orientations over the full turn; a silhouette that repeats itself within
     # the turn is searched once per distinct orientation.
     rotations: int = 32

@@ -7,10 +7,11 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.resting_inference import RestingInference
 
 
 def exact_label(
-    inference: ExactInference,
+    inference: ExactInference | RestingInference,
     scene_depth: np.ndarray,
     modal: np.ndarray,
     camera: PinholeCamera,

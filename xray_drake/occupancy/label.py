@@ -30,12 +30,14 @@ class Label:
             with.
         accepted: (rotations,) int, how many candidates of each orientation
             were summed; the first orientation is the true one.
+        largest: the sum's maximum, which the distribution was divided by.
     """
 
     distribution: np.ndarray
     amodal: np.ndarray
     modal: np.ndarray
     accepted: np.ndarray
+    largest: float = 0.0
 
 
 def occupancy_label(
@@ -45,6 +47,7 @@ def occupancy_label(
     p_WT: np.ndarray,
     *,
     observed: np.ndarray | None = None,
+    true_pose: bool = True,
     config: LabelConfig | None = None,
 ) -> Label:
     """Computes where the target could be without a change to its modal mask.
@@ -75,6 +78,9 @@ def occupancy_label(
         observed: (H, W) bool, the modal mask if it is known from elsewhere (a
             label image). Without it, it is where the target is nearer than
             the scene by more than ``depth_tolerance``.
+        true_pose: the target is imaged where it is, so that this pose always
+            counts. Otherwise it is as good as any other candidate, as where
+            it is shown lying on another of its faces.
         config: the numbers.
 
     Returns:
@@ -122,14 +128,14 @@ def occupancy_label(
             relative, modal, *poses, config.accept_iou, change
         )
     total = np.cumsum(change[:, :-1], axis=1, dtype=np.int32)
-    if box is not None or (computed != amodal).any():
+    if true_pose and (box is not None or (computed != amodal).any()):
         accepted[0] += 1
         total += amodal
     distribution = total.astype(np.float32)
-    largest = distribution.max()
+    largest = float(distribution.max())
     if largest > 0:
-        distribution /= largest
-    return Label(distribution, amodal, modal, accepted)
+        distribution /= np.float32(largest)
+    return Label(distribution, amodal, modal, accepted, largest)
 
 
 def _turned(

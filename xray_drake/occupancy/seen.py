@@ -65,8 +65,8 @@ def count_seen(
     )
     outlines -= middle
     reach = int(np.ceil(np.abs(outlines).max())) + 1
-    top, bottom = _pose_range(rows, reach)
-    left, right = _pose_range(columns, reach)
+    top, bottom = pose_range(rows, reach)
+    left, right = pose_range(columns, reach)
     window = Window(
         1.0,
         top - reach,
@@ -100,7 +100,7 @@ def count_seen(
         return mask.astype(np.float32)
 
     # IoU ≤ common / size, so orientations that cover too little are out.
-    rule = _Rule(config, size, typical)
+    rule = AcceptanceRule(config, size, typical)
     chosen = (most >= rule.least_common(float(most.max()))).nonzero()[:, 0]
     common = common[chosen]
     area = torch.stack(
@@ -131,7 +131,7 @@ def count_seen(
 
 
 @dataclass(frozen=True)
-class _Rule:
+class AcceptanceRule:
     """Which candidates are accepted.
 
     Attributes:
@@ -145,13 +145,14 @@ class _Rule:
     typical: float
 
     @property
-    def _fragment(self) -> bool:
+    def fragment(self) -> bool:
+        """The mask is too small to measure an IoU by."""
         return self.size < self.config.fragment_share * self.typical
 
     def least_common(self, most: float) -> float:
         """Returns a bound of what accepted candidates share with the mask."""
         by_coverage = (self.config.accept_coverage - _SLACK) * most
-        if self._fragment:
+        if self.fragment:
             return by_coverage
         share = self.config.accept_iou - _SLACK
         return min(by_coverage, share * self.config.trusted_iou * self.size)
@@ -167,7 +168,7 @@ class _Rule:
             slack: taken off each share that is asked for.
         """
         config = self.config
-        if not self._fragment:
+        if not self.fragment:
             iou = common / (area + (self.size - common))
             best = iou.max()
             if best >= config.trusted_iou:
@@ -235,7 +236,7 @@ def _quantile(weights: np.ndarray, share: float) -> int:
     return int(np.searchsorted(cumulated, share * cumulated[-1]))
 
 
-def _pose_range(weights: np.ndarray, reach: int) -> tuple[int, int]:
+def pose_range(weights: np.ndarray, reach: int) -> tuple[int, int]:
     """Returns where a body can be that covers two thirds of a mask."""
     first, last = _quantile(weights, 1 / 3), _quantile(weights, 2 / 3)
     middle = (first + last) // 2

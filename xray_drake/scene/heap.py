@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.stats import truncnorm
 
+from xray_drake.geometry.resting import RestingPose, lean, resting_poses
 from xray_drake.geometry.tilt import tilt
 from xray_drake.scene.contact import ContactConfig, angular_damping
 from xray_drake.scene.object_model import ObjectModel
@@ -26,6 +27,7 @@ from xray_drake.scene.plant import (
 )
 from xray_drake.scene.rest import box_corners
 from xray_drake.scene.sleep_monitor import SleepMonitor
+from xray_drake.scene.targets import TALL_TARGETS
 from xray_drake.seeding import stream
 
 _logger = logging.getLogger(__name__)
@@ -68,7 +70,7 @@ class HeapConfig:
     offset_sigma: float = 0.045
     # The offsets are truncated here, m.
     offset_limit: float = 0.12
-    # The target falls flat from this height, m.
+    # The target falls from this height, flat or as it is to lie, m.
     target_height: float = 0.05
     # The others fall from this height over the floor ...
     drop_height: float = 0.20
@@ -142,11 +144,15 @@ class Heap:
 
     @property
     def target_tilt(self) -> float:
-        """Angle between the target's z axis and the vertical, rad.
+        """How far the target leans, rad.
 
-        Either face may lie down.
+        The angle between its z axis and the vertical, either face down; for
+        one of ``TALL_TARGETS``, that to its nearest resting pose.
         """
-        return tilt(self.poses[self.target.name])
+        X_WT = self.poses[self.target.name]
+        if self.target.name in TALL_TARGETS:
+            return lean(_resting_poses(self.target), X_WT)
+        return tilt(X_WT)
 
     @property
     def models(self) -> tuple[ObjectModel, ...]:
@@ -173,7 +179,8 @@ def drop_heap(
     Drake the same arguments give the same heap, bit by bit.
 
     Args:
-        target: dropped first, flat.
+        target: dropped first, flat; one of ``TALL_TARGETS`` in a resting pose
+            that is drawn with its probability.
         objects: dropped in this order.
         seed: of the heap's centre, offsets and orientations.
         config: how to drop.
@@ -269,8 +276,9 @@ class _Drop:
             self._park(item)
         center = rng.uniform(-config.center_range, config.center_range, 2)
         yaw = RollPitchYaw(0, 0, rng.uniform(0, 2 * np.pi)).ToRotationMatrix()
+        R = yaw @ self._lying(seed, attempt)
         self._release(
-            self._target, yaw, center + self._offset(), config.target_height
+            self._target, R, center + self._offset(), config.target_height
         )
         self._advance(config.drop_period)
         growth: list[Heap] = []
@@ -285,6 +293,20 @@ class _Drop:
         self._progress(1.0)
         heap = self._result(seed, attempt, len(self._others))
         return replace(heap, growth=tuple(growth))
+
+    def _lying(self, seed: int, attempt: int) -> RotationMatrix:
+        """Returns how the target lies; all but yaw.
+
+        From a stream of its own, so that flat targets' heaps do not depend
+        on it.
+        """
+        model = self._target.model
+        if model.name not in TALL_TARGETS:
+            return RotationMatrix.Identity()
+        poses = _resting_poses(model)
+        rng = stream(seed, "resting pose", attempt)
+        chosen = rng.choice(len(poses), p=[pose.probability for pose in poses])
+        return RotationMatrix.ProjectToRotationMatrix(poses[chosen].R_WO)
 
     def _drop_one(self, item: PlantObject, center: np.ndarray) -> None:
         config = self._config
@@ -497,6 +519,10 @@ class _Drop:
             attempts=attempt,
             settle_time=self._root.get_time(),
         )
+
+
+def _resting_poses(model: ObjectModel) -> tuple[RestingPose, ...]:
+    return resting_poses(model.visual, model.p_OCom)
 
 
 def _topples(looks: list[np.ndarray]) -> bool:

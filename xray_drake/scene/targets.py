@@ -1,30 +1,40 @@
-"""The targets that are searched for: ten boxes and three things (PROTOCOL.md).
+"""The targets that are searched for: ten boxes, three things, two tall ones.
 
-All are red, weigh 600 kg/m³ and have their body origin at the centre of their
-bounding box, with x along the length, y along the width and z along the
-thickness.
+The boxes and things are PROTOCOL.md's. All are red, weigh 600 kg/m³ and have
+their body origin at the centre of their bounding box, with x along the length,
+y along the width and z along the thickness, or upwards.
 """
 
 from functools import cache
 
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull
 
+from xray_drake.geometry.resting import resting_poses, standing
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
-from xray_drake.scene.shapes import Solid, box, prism
+from xray_drake.scene.shapes import Solid, arc, box, cylinder, prism
 
 BOX_TARGETS = tuple(f"box_{ratio}to1" for ratio in range(1, 11))
 """The boxes of aspect ratio 1 to 10, 9 cm² each (paper section IV.A)."""
 
 TARGET_NAMES = (*BOX_TARGETS, "lid", "domino", "flute")
 
+TALL_TARGETS = ("cube", "mug")
+"""▲ Targets that are not flat: a heap is dropped on them lying on any face."""
+
 TARGET_COLOR = (0.8, 0.05, 0.05, 1.0)
 TARGET_DENSITY = 600.0
 """kg/m³."""
 
+_THINNEST = 0.004
+"""m. Half of it is more than the noise of the floor's depth."""
+
 LID_SIZE = (0.060, 0.057, 0.010)
 DOMINO_SIZE = (0.048, 0.024, 0.0075)
 FLUTE_SIZE = (0.110, 0.022, 0.016)
+CUBE_SIDE = 0.060
+MUG_DIAMETER, MUG_HEIGHT = 0.070, 0.080
 
 
 @cache
@@ -35,14 +45,15 @@ def target_model(name: str) -> ObjectModel:
     of the tube that is seen.
 
     Args:
-        name: one of ``TARGET_NAMES``.
+        name: one of ``TARGET_NAMES`` or ``TALL_TARGETS``.
 
     Raises:
         ValueError: no target has this name.
     """
-    if name not in TARGET_NAMES:
+    names = (*TARGET_NAMES, *TALL_TARGETS)
+    if name not in names:
         raise ValueError(
-            f"no target is called {name!r}; there are {', '.join(TARGET_NAMES)}"
+            f"no target is called {name!r}; there are {', '.join(names)}"
         )
     if name == "lid":
         solid = _lid()
@@ -50,6 +61,10 @@ def target_model(name: str) -> ObjectModel:
         solid = box(*DOMINO_SIZE)
     elif name == "flute":
         solid = _flute()
+    elif name == "cube":
+        solid = box(CUBE_SIDE, CUBE_SIDE, CUBE_SIDE)
+    elif name == "mug":
+        solid = _mug()
     else:
         ratio = 1 + BOX_TARGETS.index(name)
         solid = box(0.03 * ratio**0.5, 0.03 / ratio**0.5, 0.005)
@@ -123,6 +138,50 @@ def _flute() -> Solid:
     )
     octagon = (np.arange(8) + 0.5) * np.pi / 4
     return Solid((surface,), rod(octagon, 1 / np.cos(np.pi / 8), length).hulls)
+
+
+def _mug() -> Solid:
+    """A cup with a square handle along x; 16 collision pieces."""
+    radius, wall, bottom = MUG_DIAMETER / 2, 0.004, 0.005
+    bar, width, gap, rise = 0.008, 0.012, 0.019, 0.048
+    # The handle reaches into the wall, lest a slit is left.
+    start, end = radius - wall / 2, radius + gap + bar
+    middle = MUG_HEIGHT / 2
+    arm = box(end - start, width, bar, ((start + end) / 2, 0, middle))
+    solid = (
+        arc(radius - wall, radius, MUG_HEIGHT, pieces=12)
+        + cylinder(radius - wall / 2, bottom)
+        + arm.moved(z=(rise - bar) / 2)
+        + arm.moved(z=-(rise - bar) / 2)
+        + box(bar, width, rise, (end - bar / 2, 0, middle))
+    )
+    return solid.moved(x=-(end - radius) / 2, z=-middle)
+
+
+def size_in_any_pose(target: ObjectModel) -> np.ndarray:
+    """Returns the size by which policies reckon with a target.
+
+    For one that lies flat, its length, width and thickness. One that may lie
+    on any face reaches at most as far as its bounding box's diagonal and
+    covers at least as much as its smallest silhouette; and since its sides
+    are seen, nothing but the floor itself shows that it is not there. A flat
+    box that is so long and covers so little stands for it.
+
+    Returns:
+        (3,) length, width, thickness, m.
+    """
+    if target.name not in TALL_TARGETS:
+        return target.extents
+    diagonal = float(np.linalg.norm(target.extents))
+    areas = [
+        ConvexHull(standing(target.visual.vertices, pose.R_WO)[:, :2]).volume
+        for pose in resting_poses(target.visual, target.p_OCom)
+    ]
+    # length² + width² = diagonal², length · width = area
+    total, twice = diagonal**2, 2 * min(areas)
+    apart = np.sqrt(max(total - twice, 0.0))
+    together = np.sqrt(total + twice)
+    return np.array([(together + apart) / 2, (together - apart) / 2, _THINNEST])
 
 
 def _rounded_rectangle(

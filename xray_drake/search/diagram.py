@@ -8,7 +8,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from xray_drake.grasping.depth_planner import DepthGraspPlanner
 from xray_drake.grasping.planner import ModelGraspPlanner
-from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.exact_model import exact_model
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
 from xray_drake.policy.choice_system import ChoicePolicy
@@ -20,6 +20,7 @@ from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
 from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.targets import size_in_any_pose
 from xray_drake.search.execution import add_execution
 from xray_drake.search.grasped_body import GraspedBody
 from xray_drake.search.perception import add_perception
@@ -188,7 +189,10 @@ def build_search_diagram(
             min_visible_pixels=scenario.policy.min_visible_pixels,
             min_grasp_quality=scenario.policy.min_grasp_quality,
             foresight=Foresight(
-                inference, target.extents, camera.width, camera.height
+                inference,
+                size_in_any_pose(target),
+                camera.width,
+                camera.height,
             )
             if kind.outlook
             else None,
@@ -220,7 +224,7 @@ def build_search_diagram(
         memory = builder.AddSystem(
             SearchMemory(
                 memory=TargetMemory(
-                    target.extents,
+                    size_in_any_pose(target),
                     MemoryConfig(
                         floor=scenario.perception.exact.floor,
                         names_last=scenario.perception.segmenter != "depth",
@@ -306,7 +310,7 @@ def _replacement(name: str, build: Replacement, inside: SearchParts) -> System:
 def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
     perception = scenario.perception
     if perception.occupancy == "exact":
-        return ExactInference(target, perception.exact)
+        return exact_model(target, perception.exact)
     return load_inference(
         weights_path(perception),
         target_size=target.extents,

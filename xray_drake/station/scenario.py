@@ -25,6 +25,7 @@ from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
+from xray_drake.occupancy.exact_config import POSES
 from xray_drake.occupancy.learned import default_weights
 from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
@@ -40,7 +41,7 @@ from xray_drake.scene.cameras import (
 from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import ARRANGEMENTS, HeapConfig
 from xray_drake.scene.plant import default_plant_config
-from xray_drake.scene.targets import TARGET_NAMES
+from xray_drake.scene.targets import TALL_TARGETS, TARGET_NAMES
 from xray_drake.splits import SPLITS
 
 DETECTORS = ("ground_truth", "hsv")
@@ -83,7 +84,8 @@ class RandomNumber:
 class SceneConfig:
     """What lies in the bin."""
 
-    # Name of the target: one of xray_drake.scene.targets.TARGET_NAMES.
+    # Name of the target: one of TARGET_NAMES or TALL_TARGETS in
+    # xray_drake.scene.targets.
     target: str = "box_2to1"
     # How many distractors are dropped on it.
     num_objects: int = 14
@@ -343,7 +345,11 @@ def check_scenario(
         ScenarioError: a choice that does not exist or a number out of range.
     """
     for key, value, choices in (
-        ("scene.target", scenario.scene.target, TARGET_NAMES),
+        (
+            "scene.target",
+            scenario.scene.target,
+            (*TARGET_NAMES, *TALL_TARGETS),
+        ),
         ("scene.split", scenario.scene.split, SPLITS),
         (
             "scene.heap.arrangement",
@@ -353,6 +359,7 @@ def check_scenario(
         ("perception.detector", scenario.perception.detector, DETECTORS),
         ("perception.segmenter", scenario.perception.segmenter, SEGMENTERS),
         ("perception.occupancy", scenario.perception.occupancy, OCCUPANCIES),
+        ("perception.exact.poses", scenario.perception.exact.poses, POSES),
         ("policy.name", scenario.policy.name, POLICIES),
         ("gripper.grasps", scenario.gripper.grasps, GRASPS),
         ("gripper.execution", scenario.gripper.execution, EXECUTIONS),

@@ -8,8 +8,9 @@ import numpy as np
 
 from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.scene.targets import target_model
+from xray_drake.occupancy.exact_config import ExactInferenceConfig
+from xray_drake.occupancy.exact_model import exact_model
+from xray_drake.scene.targets import TALL_TARGETS, target_model
 from xray_drake.training.evaluation import Predictor
 
 if TYPE_CHECKING:
@@ -19,12 +20,15 @@ if TYPE_CHECKING:
 def exact_predictor() -> Predictor:
     """Returns exact inference; each target is prepared once.
 
+    A tall target may rest on any face; the others lie flat.
+
     A sample of a target that is none of the package's is a ``ValueError``.
     """
 
     @cache
-    def inference(name: str) -> ExactInference:
-        return ExactInference(target_model(name))
+    def inference(name: str) -> "OccupancyModel":
+        poses = "resting" if name in TALL_TARGETS else "flat"
+        return exact_model(target_model(name), ExactInferenceConfig(poses))
 
     return lambda sample: _infer(inference(sample.target_name), sample)
 

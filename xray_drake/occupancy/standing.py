@@ -1,0 +1,185 @@
+"""A target that stands on the floor in one of its resting poses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.resting import (
+    RestingPose,
+    standing,
+    turns_into_itself,
+)
+from xray_drake.occupancy.floor_grid import Floor
+from xray_drake.occupancy.standing_kernels import draw_body
+
+_DRIFT = 0.35
+"""Pixels by which a silhouette may be off within a block of candidates."""
+
+_LARGEST_BLOCK = 16
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera as the compiled loops take it.
+
+    Attributes:
+        ray: 3×3, from pixels (u, v, 1) to world rays of unit z-depth.
+        center: (3,) of the camera in the world, m.
+        intrinsics: 3×3 camera matrix.
+        rotation: 3×3 orientation of the camera in the world.
+    """
+
+    ray: np.ndarray
+    center: np.ndarray
+    intrinsics: np.ndarray
+    rotation: np.ndarray
+
+    @staticmethod
+    def of(camera: PinholeCamera) -> "View":
+        """Returns the view of a camera."""
+        return View(
+            np.ascontiguousarray(camera.pixel_to_ray),
+            np.array(camera.X_WC[:3, 3]),
+            # Copies: to numba, an array that may not be written is another
+            # type.
+            np.array(camera.intrinsics),
+            np.array(camera.X_WC[:3, :3]),
+        )
+
+    def parts(
+        self,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Returns what the loops take, in their order."""
+        return self.ray, self.center, self.intrinsics, self.rotation
+
+
+class StandingTarget:
+    """A target in one resting pose, with any turn about the vertical.
+
+    Attributes:
+        probability: of the pose.
+        vertices: (n, 3), m; x and y from the vertical *axis* through the
+            centre of mass, z from the floor.
+        faces: (m, 3) indices of outward-facing triangles.
+        height: of the highest point, m.
+        middle: half of it: where the axis is seen at a pixel's centre.
+        radius: largest distance of a vertex from the axis, m.
+        symmetry: turns by 1/symmetry look the same.
+    """
+
+    def __init__(
+        self, mesh: trimesh.Trimesh, p_OCom: np.ndarray, pose: RestingPose
+    ) -> None:
+        """Puts a closed mesh, given in the body frame (m), on the floor."""
+        self.probability = pose.probability
+        self.vertices = standing(mesh.vertices, pose.R_WO)
+        self.vertices[:, :2] -= (pose.R_WO @ p_OCom)[:2]
+        self.faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
+        self.height = float(self.vertices[:, 2].max())
+        self.middle = self.height / 2
+        self.radius = float(np.hypot(*self.vertices[:, :2].T).max())
+        self.symmetry = turns_into_itself(self.vertices, self.faces)
+
+    def angles(self, rotations: int, times: int = 1) -> np.ndarray:
+        """Returns the (k,) distinct of equally spaced angles, rad.
+
+        Args:
+            rotations: over the full turn.
+            times: so many times as many, between those.
+        """
+        order = max(
+            n
+            for n in range(1, self.symmetry + 1)
+            if self.symmetry % n == 0 and rotations % n == 0
+        )
+        count = rotations // order * times
+        return np.arange(count) * (2 * np.pi / order / count)
+
+    def turned(self, angle: float) -> np.ndarray:
+        """Returns the (n, 3) vertices turned by ``angle`` about the axis."""
+        c, s = np.cos(angle), np.sin(angle)
+        turned = self.vertices.copy()
+        turned[:, :2] = self.vertices[:, :2] @ np.array([[c, s], [-s, c]])
+        return turned
+
+    def reach(self, camera: PinholeCamera, floor: Floor) -> int:
+        """Returns how far it reaches from its axis in an image, pixels."""
+        places = np.concatenate([floor.corners(), [[0.0, 0.0]]])
+        axis = np.pad(places, ((0, 0), (0, 1)), constant_values=self.middle)
+        ring = np.linspace(0, 2 * np.pi, 17)[:-1]
+        around = self.radius / np.cos(np.pi / 16) * np.exp(1j * ring)
+        points = np.concatenate(
+            [
+                np.column_stack(
+                    [around.real, around.imag, np.full(16, z - self.middle)]
+                )
+                for z in (0.0, self.height)
+            ]
+        )
+        seen = camera.project(axis[:, None] + points)[..., :2]
+        off = np.abs(seen - camera.project(axis)[:, None, :2])
+        return int(np.ceil(off.max())) + 1
+
+    def block_side(self, camera: PinholeCamera, times: int = 1) -> int:
+        """Returns how large blocks of candidates may be, pixels.
+
+        A body that is moved by d pixels, seen at half its height, shows its
+        top moved by d·(c − h/2)/(c − h), c being the camera's height.
+
+        Args:
+            camera: the camera.
+            times: so many times as large, for a first look.
+        """
+        above = float(camera.X_WC[2, 3]) - self.height
+        most = 2 * _DRIFT * above / self.middle
+        return int(np.clip(most, 1, _LARGEST_BLOCK)) * times
+
+    def room(
+        self, turned: np.ndarray, floor: Floor, slack: float
+    ) -> np.ndarray:
+        """Returns (4,) bounds x low, x high, y low, y high of its axis, m.
+
+        Within them it keeps inside the bin's walls.
+
+        Args:
+            turned: what :meth:`turned` gave.
+            floor: inside of the bin.
+            slack: how far it may reach beyond, m.
+        """
+        low, high = turned[:, :2].min(axis=0), turned[:, :2].max(axis=0)
+        return np.array(
+            [
+                floor.x[0] - slack - low[0],
+                floor.x[1] + slack - high[0],
+                floor.y[0] - slack - low[1],
+                floor.y[1] + slack - high[1],
+            ]
+        )
+
+    def draw(
+        self, angle: float, pixel: np.ndarray, view: View, reach: int
+    ) -> np.ndarray:
+        """Draws it where its axis is seen at a pixel.
+
+        Args:
+            angle: about the axis, rad.
+            pixel: (2,) u, v of the axis at height ``middle``.
+            view: the camera.
+            reach: half width of the drawing, pixels.
+
+        Returns:
+            (2·reach + 1)² float32 height of what is seen of it, m, −1 beside
+            it; ``pixel`` is in the middle.
+        """
+        canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
+        draw_body(
+            self.turned(angle),
+            self.faces,
+            np.asarray(pixel, dtype=float),
+            self.middle,
+            *view.parts(),
+            canvas,
+        )
+        return canvas
