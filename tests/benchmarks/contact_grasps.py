@@ -52,7 +52,13 @@ from xray_drake.station.heap_station import build_heap_station
 from xray_drake.station.scenario import Scenario
 
 TARGETS = ("box_1to1", "box_2to1", "box_5to1", "lid", "domino")
-MESHES = ("a_lego_duplo", "a_toy_airplane", "hammer", "spatula", "a_cups")
+MESHES = (
+    "a_lego_duplo",
+    "a_cups",
+    "b_toy_airplane",
+    "d_toy_airplane",
+    "b_colored_wood_blocks",
+)
 TEST_SHAPES = 10
 TRAIN_SHAPES = 5
 RESTS = 3
