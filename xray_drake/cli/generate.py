@@ -102,7 +102,9 @@ def run(options: GenerateOptions, console: Console) -> None:
     done = manifest.num_samples - sum(shard.count for shard in missing)
     if options.overrides.get("scene.meshes"):
         # Decomposed once, by all processes together; workers find the cache.
-        scenario = configure(options.scenario, options.overrides)
+        scenario = configure(
+            options.scenario, options.overrides, searched=False
+        )
         imported_objects(scenario, workers=options.workers)
     start, reports = time.monotonic(), []
     with Progress(
@@ -136,7 +138,7 @@ def run(options: GenerateOptions, console: Console) -> None:
 
 
 def _plan(options: GenerateOptions) -> Manifest:
-    scenario = configure(options.scenario, options.overrides)
+    scenario = configure(options.scenario, options.overrides, searched=False)
     targets: tuple[str, ...] = ()
     if options.target == "all":
         targets = BOX_TARGETS

@@ -82,17 +82,20 @@ class _Narrator:
         self._console.print("  ".join(parts), highlight=False, soft_wrap=True)
 
 
-def configure(name: str, overrides: Mapping[str, Any]) -> Scenario:
+def configure(
+    name: str, overrides: Mapping[str, Any], *, searched: bool = True
+) -> Scenario:
     """Loads a scenario and puts in what the command line says.
 
     Args:
         name: of a scenario, or a YAML file.
         overrides: see :class:`SearchOptions`.
+        searched: see :func:`xray_drake.station.scenario.check_scenario`.
 
     Raises:
         ScenarioError: see :func:`xray_drake.station.scenario.load_scenario`.
     """
-    scenario = load_scenario(name)
+    scenario = load_scenario(name, searched=searched)
     for path, value in overrides.items():
         if value is None:
             continue
@@ -101,7 +104,7 @@ def configure(name: str, overrides: Mapping[str, Any]) -> Scenario:
         for parent in parents:
             owner = getattr(owner, parent)
         setattr(owner, field, value)
-    check_scenario(scenario, "command line")
+    check_scenario(scenario, "command line", searched=searched)
     return scenario
 
 

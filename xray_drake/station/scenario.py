@@ -246,11 +246,14 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
 
 
-def load_scenario(name_or_path: str | Path) -> Scenario:
+def load_scenario(
+    name_or_path: str | Path, *, searched: bool = True
+) -> Scenario:
     """Reads a scenario that comes with the package, or a file.
 
     Args:
         name_or_path: a name of :func:`scenario_names`, or a YAML file.
+        searched: see :func:`check_scenario`.
 
     Raises:
         ScenarioError: no such scenario or file; not YAML; a key that does not
@@ -268,7 +271,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"cannot read scenario {path}: {error}") from error
-    return parse_scenario(text, str(path))
+    return parse_scenario(text, str(path), searched=searched)
 
 
 def parse_scenario(
