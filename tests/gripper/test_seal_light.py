@@ -28,10 +28,28 @@ def lights(meshcat: Meshcat) -> set[str]:
 def test_it_lies_around_the_lip(meshcat: Meshcat) -> None:
     X_BC = np.eye(4)
     X_BC[:3, 3] = 0.15, 0.0, 0.02
-    SealLight(meshcat, X_BC)
+    light = SealLight(meshcat, X_BC)
+    simulator = Simulator(light)
+    light.get_input_port().FixValue(
+        simulator.get_mutable_context(), AbstractValue.Make(CupState())
+    )
+    simulator.Initialize()
     packed = meshcat._GetPackedTransform(f"{GRIPPER_PATH}/sealed")
     X = np.array(umsgpack.unpackb(packed)["matrix"]).reshape(4, 4).T
     assert np.linalg.norm(X[:3, 3] - X_BC[:3, 3]) < 0.003
+
+
+def test_it_is_drawn_anew_with_each_simulation(meshcat: Meshcat) -> None:
+    light = SealLight(meshcat, np.eye(4))
+    simulator = Simulator(light)
+    light.get_input_port().FixValue(
+        simulator.get_mutable_context(), AbstractValue.Make(CupState())
+    )
+    simulator.Initialize()
+    meshcat.Delete("visualizer")  # as Drake's visualizer does
+    simulator.get_mutable_context().SetTime(0.0)
+    simulator.Initialize()
+    assert meshcat.HasPath(f"{GRIPPER_PATH}/sealed")
 
 
 def test_it_follows_the_cup(meshcat: Meshcat) -> None:

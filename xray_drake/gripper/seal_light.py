@@ -37,7 +37,7 @@ class SealLight(LeafSystem):
         sealed: float = 0.9,
         period: float = 1 / 32,
     ) -> None:
-        """Draws the sleeves, hidden.
+        """Builds the light.
 
         Args:
             meshcat: shows the gripper.
@@ -49,26 +49,38 @@ class SealLight(LeafSystem):
         super().__init__()
         self.set_name("seal_light")
         self._meshcat = meshcat
+        self._X_BC = RigidTransform(X_BC)
         self._sealed = sealed
-        self._shown = ""
+        self._shown: str | None = None
         self._cup = self.DeclareAbstractInputPort(
             "cup_state", Value(CupState())
         )
+        # Drake's visualizer deletes all that it has drawn when a simulation is
+        # initialized, and the sleeves with it.
+        self.DeclareInitializationPublishEvent(self._forget)
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
+
+    def _forget(self, context: Context) -> EventStatus:
+        self._shown = None
+        return EventStatus.Succeeded()
+
+    def _draw(self) -> None:
+        X_CS = RigidTransform([0.0, 0.0, -_HEIGHT / 2])
         for name, color in _COLORS.items():
             path = f"{GRIPPER_PATH}/{name}"
-            meshcat.SetObject(path, Cylinder(_RADIUS, _HEIGHT), color)
-            X_CS = RigidTransform([0.0, 0.0, -_HEIGHT / 2])
-            meshcat.SetTransform(path, RigidTransform(X_BC) @ X_CS)
-            meshcat.SetProperty(path, "visible", False)
-        self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
+            self._meshcat.SetObject(path, Cylinder(_RADIUS, _HEIGHT), color)
+            self._meshcat.SetTransform(path, self._X_BC @ X_CS)
+            self._meshcat.SetProperty(path, "visible", False)
 
     def _publish(self, context: Context) -> EventStatus:
         state: CupState = self._cup.Eval(context)
         shown = ""
         if state.drawing:
             shown = "sealed" if state.vacuum >= self._sealed else "drawing"
-        if shown == self._shown and context.get_time() > 0.0:
+        if shown == self._shown:
             return EventStatus.DidNothing()
+        if self._shown is None:
+            self._draw()
         for name in _COLORS:
             self._meshcat.SetProperty(
                 f"{GRIPPER_PATH}/{name}",
