@@ -25,6 +25,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 from xray_drake.grasping.candidates import (
     GraspCandidates,
@@ -67,6 +68,9 @@ RESTS = 3
 SETTLE = 1.0
 """s for an object to come to rest where it was laid."""
 
+IN_THE_AIR = 0.08
+"""m over where it lay."""
+
 LONGEST = 60.0
 """s of simulated time that no action takes."""
 
@@ -92,6 +96,8 @@ class Trial:
         brought: it reached the tote.
         outcome: as the gripper felt it.
         reason: of a failure, as the gripper felt it.
+        turned: angle by which the object, when it is in the air, is turned in
+            the gripper against what was planned, degrees; None if it never was.
         simulated: time of the action, s.
         seconds: of processor time.
     """
@@ -103,6 +109,7 @@ class Trial:
     brought: bool
     outcome: str
     reason: str
+    turned: float | None
     simulated: float
     seconds: float
 
@@ -157,21 +164,37 @@ class Cell:
 
     def execute(
         self, grasp: Grasp, X_WO: np.ndarray
-    ) -> tuple[GripperStatus, bool, float]:
-        """Returns how it ended, whether in the tote, and simulated s."""
+    ) -> tuple[GripperStatus, bool, float | None, float]:
+        """Returns how it ended, in the tote or not, turn, and simulated s."""
         simulator = self.lay(X_WO)
         self._order(simulator, SearchAction(number=1, grasp=grasp))
         context = self.controller.GetMyContextFromRoot(simulator.get_context())
-        time = 0.0
+        time, turned = 0.0, None
         while time < LONGEST:
             time += 0.1
             simulator.AdvanceTo(time)
+            X = self._pose(simulator)
+            if turned is None and X[2, 3] > X_WO[2, 3] + IN_THE_AIR:
+                turned = self._turn(simulator, grasp, X)
             status: GripperStatus = self.controller.GetOutputPort(
                 "status"
             ).Eval(context)
             if status.number == 1 and status.mode is GripperMode.IDLE:
                 break
-        return status, inside_tote(self._pose(simulator)[:3, 3]), time
+        return status, inside_tote(X[:3, 3]), turned, time
+
+    def _turn(
+        self, simulator: Simulator, grasp: Grasp, X_WO: np.ndarray
+    ) -> float:
+        gripper = self.parts.gripper
+        assert gripper is not None
+        context = self.parts.plant.GetMyContextFromRoot(simulator.get_context())
+        X_WB = gripper.base.EvalPoseInWorld(context).GetAsMatrix4()
+        jaw = grasp.kind is GraspKind.JAW
+        X_WG = X_WB @ (gripper.X_BJ if jaw else gripper.X_BC)
+        now = X_WG[:3, :3].T @ X_WO[:3, :3]
+        turn = Rotation.from_matrix(grasp.X_OG[:3, :3] @ now)
+        return float(np.rad2deg(turn.magnitude()))
 
     def _order(self, simulator: Simulator, action: SearchAction) -> None:
         self.diagram.GetInputPort("action").FixValue(
@@ -308,7 +331,7 @@ def try_out(
     trials = []
     for grasp, held, judged in draw_grasps(model, X_WO, seed, number):
         start = time.process_time()
-        status, brought, simulated = cell.execute(grasp, X_WO)
+        status, brought, turned, simulated = cell.execute(grasp, X_WO)
         trials.append(
             Trial(
                 kind=grasp.kind.value,
@@ -318,6 +341,7 @@ def try_out(
                 brought=brought,
                 outcome=status.outcome.value,
                 reason=status.reason,
+                turned=turned,
                 simulated=simulated,
                 seconds=time.process_time() - start,
             )
@@ -327,8 +351,8 @@ def try_out(
 
 def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
     """Yields rows of Markdown: how far analysis and contact agree."""
-    yield "| analysis | kind | grasps | in the tote | agree |"
-    yield "|---|---|---|---|---|"
+    yield "| analysis | kind | grasps | in the tote | agree | turned, median |"
+    yield "|---|---|---|---|---|---|"
     for held in (True, False):
         for kind in (GraspKind.JAW.value, GraspKind.SUCTION.value, ""):
             some = [
@@ -340,9 +364,11 @@ def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
             brought = sum(t["brought"] for t in some)
             agree = brought if held else len(some) - brought
             share = f"{agree / len(some):.0%}" if some else "–"
+            turns = [t["turned"] for t in some if t["turned"] is not None]
+            turned = f"{np.median(turns):.1f}°" if turns else "–"
             yield (
                 f"| {'holds' if held else 'does not'} | {kind or 'both'} | "
-                f"{len(some)} | {brought} | {share} |"
+                f"{len(some)} | {brought} | {share} | {turned} |"
             )
 
 
