@@ -5,6 +5,7 @@ import numpy as np
 
 from xray_drake.drawing.colors import heat
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading
 
 _GAP = 0.004
 """How far a layer hovers over the surface that it lies on, m."""
@@ -24,7 +25,7 @@ def surface_depth(
         (H, W) z-depth, m, :data:`_GAP` in front of the surface.
     """
     floor = camera.plane_depth(0.0)
-    valid = np.isfinite(depth) & (depth > 0)
+    valid = has_reading(depth)
     filled = np.where(valid, np.minimum(depth, floor), floor)
     size = 2 * reach + 1
     nearest = cv2.erode(

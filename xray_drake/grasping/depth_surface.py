@@ -7,10 +7,10 @@ met is unknown, and taken as full.
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading, nearest_values
 
 _MARGIN = 6
 """Pixels around the object that belong to its part of the image."""
@@ -67,11 +67,6 @@ def crop_camera(
     )
 
 
-def has_reading(depth: np.ndarray) -> np.ndarray:
-    """Returns where a depth image has a reading: not 0, inf or NaN."""
-    return np.isfinite(depth) & (depth > 0)
-
-
 def fill_gaps(depth: np.ndarray) -> np.ndarray:
     """Gives each pixel without a reading the farther of its row's next ones.
 
@@ -110,16 +105,9 @@ def fill_mask(depth: np.ndarray, mask: np.ndarray) -> np.ndarray:
     lost = mask & ~known
     if not lost.any():
         return depth
-    _, label = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8),
-        cv2.DIST_L2,
-        cv2.DIST_MASK_5,
-        labelType=cv2.DIST_LABEL_PIXEL,
-    )
-    value = np.zeros(label.max() + 1, depth.dtype)
-    value[label[known]] = depth[known]
+    nearest, _ = nearest_values(depth, known)
     filled = depth.copy()
-    filled[lost] = value[label[lost]]
+    filled[lost] = nearest[lost]
     return filled
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,7 @@ def observed_heights(
     slope = np.add.outer(down + R[2, 2], across).astype(np.float32)
     heights = slope * (depth + np.float32(offset))
     heights += np.float32(camera.X_WC[2, 3])
-    heights[~((depth > 0) & np.isfinite(depth))] = -np.inf
+    heights[~has_reading(depth)] = -np.inf
     return heights
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading
 from xray_drake.occupancy.label_config import LabelConfig
 from xray_drake.occupancy.label_kernels import (
     count_hidden,
@@ -97,7 +98,7 @@ def occupancy_label(
     target = np.array(target_depth, dtype=np.float32, order="C")
     scene = np.array(scene_depth, dtype=np.float32, order="C")
     _check(target, scene, observed, camera, config)
-    amodal = (target > 0) & np.isfinite(target)
+    amodal = has_reading(target)
     if not amodal.any():
         raise ValueError(
             "the target's image is empty: no pixel has a depth, so the target "
@@ -234,7 +235,7 @@ def _modal(
     """Returns where the target is in front of the scene."""
     modal = amodal.copy()
     behind = scene[amodal].astype(float)
-    read = (behind > 0) & np.isfinite(behind)
+    read = has_reading(behind)
     modal[amodal] = ~read | (behind - target[amodal] > tolerance)
     return modal
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading
 
 
 def check_shapes(
@@ -42,7 +43,7 @@ def check_observation(
             reading.
     """
     check_shapes({"depth image": depth, "target mask": mask}, camera)
-    if not ((depth > 0) & np.isfinite(depth)).any():
+    if not has_reading(depth).any():
         raise ValueError(
             "the depth image has no reading at all (every pixel is 0, inf or "
             "NaN); check the sensor's range and that it has rendered"

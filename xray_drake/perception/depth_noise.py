@@ -7,6 +7,8 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import cv2
 import numpy as np
 
+from xray_drake.geometry.readings import has_reading
+
 
 class DepthObservation(Protocol):
     """A dataclass that holds a depth image and what it takes to disturb it."""
@@ -71,7 +73,7 @@ class DepthNoise:
         Returns:
             (H, W) float32; 0 where there is no reading.
         """
-        read = np.isfinite(depth) & (depth > 0)
+        read = has_reading(depth)
         depth = np.ascontiguousarray(np.where(read, depth, 0), np.float32)
         lost = (
             ~read

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading, nearest_values
 from xray_drake.messages import InstanceMasks
 from xray_drake.perception.concavity import concavity
 from xray_drake.perception.region_graph import RegionGraph
@@ -106,18 +107,11 @@ def _filled(depth: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
         (H, W) float32, all above 0; (H, W) bool, whether that reading is no
         farther than ``radius`` pixels.
     """
-    read = np.isfinite(depth) & (depth > 0)
+    read = has_reading(depth)
     if not read.any():
         return np.ones(depth.shape, np.float32), read
-    away, nearest = cv2.distanceTransformWithLabels(
-        (~read).astype(np.uint8),
-        cv2.DIST_L2,
-        cv2.DIST_MASK_5,
-        labelType=cv2.DIST_LABEL_PIXEL,
-    )
-    readings = np.zeros(nearest.max() + 1, np.float32)
-    readings[nearest[read]] = depth[read]
-    return readings[nearest], away <= radius
+    filled, away = nearest_values(depth.astype(np.float32, copy=False), read)
+    return filled, away <= radius
 
 
 def _in_bin(points: np.ndarray, config: DepthSegmenterConfig) -> np.ndarray:

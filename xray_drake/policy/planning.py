@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import has_reading
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import Grasp, InstanceMasks, Message
 from xray_drake.policy.removal import Removal
@@ -163,7 +164,7 @@ def place_of(
     """
     if not grasp:
         return np.zeros((0, 3))
-    read = np.isfinite(depth) & (depth > 0)
+    read = has_reading(depth)
     points = camera.unproject(np.where(read, depth, 1.0).astype(float))
     R, p = camera.X_WC[:3, :3], grasp.X_WG[:3, 3]
     across = (points - p) @ R[:, :2]
@@ -191,7 +192,7 @@ def still_there(
     height, width = depth.shape
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     now = depth[row[inside], column[inside]]
-    read = np.isfinite(now) & (now > 0)
+    read = has_reading(now)
     if not read.any():
         return False
     changed = np.abs(now[read] - z[inside][read]) > PLACE_CHANGE

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from xray_drake.geometry.readings import has_reading
 from xray_drake.messages import InstanceMasks, Message, TargetMask
 from xray_drake.perception.ground_truth import target_instance
 
@@ -145,7 +146,7 @@ def _change(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Returns how much farther each pixel is; 0 where one has no reading."""
     with np.errstate(invalid="ignore"):
         change = after - before
-    read = [(depth > 0) & np.isfinite(depth) for depth in (before, after)]
+    read = [has_reading(depth) for depth in (before, after)]
     return np.where(read[0] & read[1], change, 0)
 
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from xray_drake.geometry.readings import has_reading
+
 NOMINAL_DEPTH = 0.8
 """Depth that the network sees as 0, m: the floor from the nominal camera."""
 
@@ -28,7 +30,7 @@ def augmented_depth(depth: np.ndarray, modal: np.ndarray) -> np.ndarray:
     seen = np.empty((3, *depth.shape), np.float32)
     seen[0] = modal
     seen[1] = depth
-    valid = np.isfinite(seen[1]) & (seen[1] > 0)
+    valid = has_reading(seen[1])
     seen[1] -= NOMINAL_DEPTH
     seen[1] /= DEPTH_UNIT
     np.clip(seen[1], -NO_READING, NO_READING, out=seen[1])
