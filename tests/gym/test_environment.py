@@ -224,7 +224,7 @@ def test_a_simulation_that_fails_truncates(
 ) -> None:
     env = MechanicalSearchEnv(scenario, drop=lambda scenario: tiny_heap)
     before, _ = env.reset(seed=7)
-    monkeypatch.setattr("xray_drake.gym.environment._LONGEST_ACTION", 0.1)
+    monkeypatch.setattr("xray_drake.gym.environment.LONGEST_ACTION", 0.1)
     after, reward, terminated, truncated, info = env.step(0)
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert "seed 7" in info["error"]

@@ -421,7 +421,7 @@ def test_ctrl_c_after_the_end_does_not_undo_it(
 def test_a_search_that_hangs_is_an_error(
     tiny_diagram: SearchDiagram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rollout, "_LONGEST_ACTION", 0.01)
+    monkeypatch.setattr(rollout, "LONGEST_ACTION", 0.01)
     with pytest.raises(RuntimeError, match="seed 7"):
         run_search(tiny_diagram)
 

@@ -43,6 +43,11 @@ class PinholeCamera:
         """The shape of its images, ``(height, width)``."""
         return self.height, self.width
 
+    @property
+    def floor_scale(self) -> float:
+        """Pixels per metre of the floor, as seen from straight above."""
+        return float(self.intrinsics[0, 0] / self.X_WC[2, 3])
+
     def project(self, p_W: np.ndarray) -> np.ndarray:
         """Projects points.
 

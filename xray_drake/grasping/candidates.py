@@ -1,6 +1,6 @@
 """Turns samples on an object into poses of the gripper, ranked cheaply."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +110,21 @@ def same_grasp(
     if R[1, 1] < 0:
         R = np.diag([-1.0, -1.0, 1.0]) @ R
     return bool(0.5 * (np.trace(R) - 1.0) > np.cos(angle))
+
+
+def is_among(
+    grasps: Iterable[Grasp],
+    kind: GraspKind,
+    X_OG: np.ndarray,
+    *,
+    position: float,
+    angle: float,
+) -> bool:
+    """Says whether any of the grasps is this one; see :func:`same_grasp`."""
+    return any(
+        same_grasp(grasp, kind, X_OG, position=position, angle=angle)
+        for grasp in grasps
+    )
 
 
 def _steepness(approach: np.ndarray, max_tilt: float) -> np.ndarray:

@@ -7,8 +7,8 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.candidates import JAW_TILTS, GraspCandidates
 from xray_drake.grasping.depth_jaw import RimPairs
-from xray_drake.grasping.depth_suction import DepthSuctionPoints
 from xray_drake.grasping.judgement import DOWN, GraspJudge
+from xray_drake.grasping.sampling import SuctionPoints
 from xray_drake.messages import GraspKind
 
 _CELL = 0.005
@@ -145,7 +145,7 @@ def jaw_poses(
 
 
 def cup_poses(
-    points: DepthSuctionPoints,
+    points: SuctionPoints,
     seen: SeenObject,
     *,
     seal_tolerance: float,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.candidates import in_groups, same_grasp
+from xray_drake.grasping.candidates import in_groups, is_among
 from xray_drake.grasping.depth_approach import ApproachShape
 from xray_drake.grasping.depth_candidates import (
     SeenObject,
@@ -207,9 +207,20 @@ class DepthGraspPlanner:
         for grasp in found:
             if len(chosen) == self.config.finalists:
                 break
-            if not self._is_excluded(grasp, barred) and not self._is_among(
-                grasp, chosen
-            ):
+            excluded_or_alike = is_among(
+                barred,
+                grasp.kind,
+                grasp.X_OG,
+                position=self.config.excluded_position,
+                angle=self.config.excluded_angle,
+            ) or is_among(
+                chosen,
+                grasp.kind,
+                grasp.X_OG,
+                position=self.config.same_position,
+                angle=self.config.same_angle,
+            )
+            if not excluded_or_alike:
                 chosen.append(grasp)
         chosen = self._rehearsed(chosen, judge)
         return sorted(chosen, key=lambda grasp: -grasp.quality)
@@ -312,30 +323,6 @@ class DepthGraspPlanner:
             )
             for i in np.flatnonzero(quality > 0)
         ]
-
-    def _is_excluded(self, grasp: Grasp, excluded: Sequence[Grasp]) -> bool:
-        return any(
-            same_grasp(
-                other,
-                grasp.kind,
-                grasp.X_OG,
-                position=self.config.excluded_position,
-                angle=self.config.excluded_angle,
-            )
-            for other in excluded
-        )
-
-    def _is_among(self, grasp: Grasp, others: Sequence[Grasp]) -> bool:
-        return any(
-            same_grasp(
-                other,
-                grasp.kind,
-                grasp.X_OG,
-                position=self.config.same_position,
-                angle=self.config.same_angle,
-            )
-            for other in others
-        )
 
     def _rehearsed(
         self, grasps: Sequence[Grasp], judge: DepthJudge

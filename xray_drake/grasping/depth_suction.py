@@ -1,42 +1,18 @@
 """Suction grasps from a depth image: where the cup's lip finds a flat place."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from xray_drake.grasping.depth_surface import DepthSurface
 from xray_drake.grasping.sampling import (
-    RING_POINTS,
-    frame_from_z,
+    Seal,
+    SuctionPoints,
+    cup_frames,
+    fit_seal,
     ring_offsets,
 )
 
 _LOOKS = 2
 """How often a point of the lip is moved to where the surface is under it."""
-
-
-@dataclass(frozen=True, eq=False)
-class DepthSeal:
-    """How cups meet a surface that is seen.
-
-    Attributes:
-        closed: (n,) whether the cup seals.
-        center: (n, 3) centre of the lip's plane on the cup's axis, in the
-            world, m.
-        normal: (n, 3) unit normal of that plane, into the object.
-        unevenness: (n,) largest distance of the surface under the lip from
-            that plane, m.
-        nearest: (n,) smallest distance from the cup's plane, along its axis,
-            m.
-        spread: (n,) largest such distance minus smallest, m.
-    """
-
-    closed: np.ndarray
-    center: np.ndarray
-    normal: np.ndarray
-    unevenness: np.ndarray
-    nearest: np.ndarray
-    spread: np.ndarray
 
 
 def seal_on_depth(
@@ -46,7 +22,7 @@ def seal_on_depth(
     radius: float,
     tolerance: float,
     max_normal_angle: float,
-) -> DepthSeal:
+) -> Seal:
     """Lays cups on the surface that is seen (Dex-Net 3.0, seal test).
 
     The counterpart of ``sampling.seal_cups``: the lip, a ring of half its size
@@ -85,56 +61,15 @@ def seal_on_depth(
         met = np.where(own[..., None], met, 0.0)
         depth = np.einsum("nki,nki->nk", met, np.broadcast_to(axis, met.shape))
 
-    A = np.column_stack([offsets, np.ones(k)])
-    plane = depth[:, :RING_POINTS] @ np.linalg.pinv(A[:RING_POINTS]).T
-    slope = plane[:, :2]
-    scale = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1))
-    deviation = (depth - plane @ A.T) * scale[:, None]
-    uneven = np.abs(deviation[:, :RING_POINTS]).max(axis=1)
-    bulge = -deviation[:, RING_POINTS:].min(axis=1)
-    normal_C = scale[:, None] * np.column_stack([-slope, np.ones(n)])
-    normal = np.einsum("nij,nj->ni", X_WC[:, :3, :3], normal_C)
-    cosines = -np.einsum("nki,ni->nk", surface.normals_W[row, column], normal)
-    return DepthSeal(
-        closed=own.all(axis=1)
-        & (uneven <= tolerance)
-        & (bulge <= 2 * tolerance)
-        & (cosines.min(axis=1) >= np.cos(max_normal_angle)),
-        center=X_WC[:, :3, 3] + plane[:, 2:] * X_WC[:, :3, 2],
-        normal=normal,
-        unevenness=uneven,
-        nearest=depth.min(axis=1),
-        spread=np.ptp(depth, axis=1),
+    return fit_seal(
+        X_WC,
+        depth,
+        surface.normals_W[row, column],
+        np.asarray(own.all(axis=1)),
+        radius=radius,
+        tolerance=tolerance,
+        max_normal_angle=max_normal_angle,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class DepthSuctionPoints:
-    """Places where a suction cup seals, as seen.
-
-    Attributes:
-        point: (n, 3) centre of the lip on the surface, in the world, m.
-        approach: (n, 3) unit normal of the lip's plane, into the object.
-        unevenness: (n,) largest distance of the surface under the lip from
-            that plane, m.
-        roomy: (n,) whether a larger cup would seal there, too.
-    """
-
-    point: np.ndarray
-    approach: np.ndarray
-    unevenness: np.ndarray
-    roomy: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.point)
-
-
-def cup_frames(point: np.ndarray, approach: np.ndarray) -> np.ndarray:
-    """Returns (n, 4, 4) poses of cups at points along unit approaches."""
-    X = np.tile(np.eye(4), (len(point), 1, 1))
-    X[:, :3, :3] = frame_from_z(approach)
-    X[:, :3, 3] = point
-    return X
 
 
 def find_seals(
@@ -145,7 +80,7 @@ def find_seals(
     tolerance: float,
     max_normal_angle: float,
     room: float = 0.004,
-) -> DepthSuctionPoints:
+) -> SuctionPoints:
     """Finds places where the cup seals.
 
     Cups are laid straight down on pixels spread evenly over the object, and
@@ -183,7 +118,7 @@ def find_seals(
         tolerance=1.5 * tolerance,
         max_normal_angle=1.5 * max_normal_angle,
     ).closed
-    return DepthSuctionPoints(
+    return SuctionPoints(
         point=X[:, :3, 3],
         approach=X[:, :3, 2],
         unevenness=seal.unevenness[keep],

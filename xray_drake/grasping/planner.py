@@ -9,8 +9,8 @@ import numpy as np
 from xray_drake.grasping.candidates import (
     GraspCandidates,
     in_groups,
+    is_among,
     jaw_candidates,
-    same_grasp,
     suction_candidates,
 )
 from xray_drake.grasping.clearance import clearance
@@ -460,13 +460,10 @@ class ModelGraspPlanner:
     def _is_excluded(
         self, kind: GraspKind, X_OG: np.ndarray, excluded: Sequence[Grasp]
     ) -> bool:
-        return any(
-            same_grasp(
-                grasp,
-                kind,
-                X_OG,
-                position=self.config.same_position,
-                angle=self.config.same_angle,
-            )
-            for grasp in excluded
+        return is_among(
+            excluded,
+            kind,
+            X_OG,
+            position=self.config.same_position,
+            angle=self.config.same_angle,
         )

@@ -44,8 +44,11 @@ class AntipodalPairs:
 class SuctionPoints:
     """Places where a suction cup seals.
 
+    In the object's frame O where it is sampled on a model, in the world where
+    it is found in an image.
+
     Attributes:
-        point: (n, 3) centre of the lip on the surface, in O, m.
+        point: (n, 3) centre of the lip on the surface, m.
         approach: (n, 3) unit normal of the lip's plane, into the object.
         unevenness: (n,) largest distance of the surface under the lip from
             that plane, m.
@@ -110,6 +113,14 @@ def frame_from_z(z: np.ndarray) -> np.ndarray:
     y = np.cross(z, helper)
     y = y / np.linalg.norm(y, axis=-1, keepdims=True)
     return np.stack([np.cross(y, z), y, z], axis=-1)
+
+
+def cup_frames(point: np.ndarray, approach: np.ndarray) -> np.ndarray:
+    """Returns (n, 4, 4) poses of cups at points along unit approaches."""
+    X = np.tile(np.eye(4), (len(point), 1, 1))
+    X[:, :3, :3] = frame_from_z(approach)
+    X[:, :3, 3] = point
+    return X
 
 
 def surface_points(
@@ -279,6 +290,44 @@ def seal_cups(
     found = (hit >= 0).all(axis=1)
     depth = np.where(np.isfinite(distance), distance, 0.0)
 
+    return fit_seal(
+        X_OC,
+        depth,
+        mesh.face_normals[hit],
+        np.asarray(found),
+        radius=radius,
+        tolerance=tolerance,
+        max_normal_angle=max_normal_angle,
+    )
+
+
+def fit_seal(
+    X_C: np.ndarray,
+    depth: np.ndarray,
+    normals: np.ndarray,
+    met: np.ndarray,
+    *,
+    radius: float,
+    tolerance: float,
+    max_normal_angle: float,
+) -> Seal:
+    """Says how cups meet the surface under the points of their lips.
+
+    Args:
+        X_C: (n, 4, 4) poses of cups: origin at the lip, z into the object.
+        depth: (n, k) distance of the surface from the cup's plane along its
+            axis at each of the k points of ``ring_offsets``, m.
+        normals: (n, k, 3) its unit normals there, out of the object.
+        met: (n,) whether there is a surface under all of them.
+        radius: of the lip, m.
+        tolerance: see :func:`seal_cups`.
+        max_normal_angle: see :func:`seal_cups`.
+
+    Returns:
+        A Seal whose attributes have a leading axis of n, in the poses' frame.
+    """
+    offsets = ring_offsets(radius)
+    n, k = depth.shape
     A = np.column_stack([offsets, np.ones(k)])
     plane = depth[:, :RING_POINTS] @ np.linalg.pinv(A[:RING_POINTS]).T
     slope = plane[:, :2]
@@ -287,14 +336,14 @@ def seal_cups(
     uneven = np.abs(deviation[:, :RING_POINTS]).max(axis=1)
     bulge = -deviation[:, RING_POINTS:].min(axis=1)
     normal_C = scale[:, None] * np.column_stack([-slope, np.ones(n)])
-    normal = np.einsum("nij,nj->ni", X_OC[:, :3, :3], normal_C)
-    cosines = -np.einsum("nki,ni->nk", mesh.face_normals[hit], normal)
+    normal = np.einsum("nij,nj->ni", X_C[:, :3, :3], normal_C)
+    cosines = -np.einsum("nki,ni->nk", normals, normal)
     return Seal(
-        closed=found
+        closed=met
         & (uneven <= tolerance)
         & (bulge <= 2 * tolerance)
         & (cosines.min(axis=1) >= np.cos(max_normal_angle)),
-        center=X_OC[:, :3, 3] + plane[:, 2:] * axis,
+        center=X_C[:, :3, 3] + plane[:, 2:] * X_C[:, :3, 2],
         normal=normal,
         unevenness=uneven,
         nearest=depth.min(axis=1),
@@ -328,9 +377,7 @@ def sample_suction(
             this radius, m.
     """
     points, faces = surface_points(mesh, count, rng)
-    X_OC = np.tile(np.eye(4), (len(points), 1, 1))
-    X_OC[:, :3, :3] = frame_from_z(-mesh.face_normals[faces])
-    X_OC[:, :3, 3] = points
+    X_OC = cup_frames(points, -mesh.face_normals[faces])
     for _ in range(2):
         seal = seal_cups(
             mesh,
@@ -340,8 +387,7 @@ def sample_suction(
             max_normal_angle=max_normal_angle,
             reach=0.01,
         )
-        X_OC[:, :3, :3] = frame_from_z(seal.normal)
-        X_OC[:, :3, 3] = seal.center
+        X_OC = cup_frames(seal.center, seal.normal)
     keep = seal.closed
     roomy = seal_cups(
         mesh,

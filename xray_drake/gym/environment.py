@@ -12,12 +12,12 @@ import numpy as np
 from gymnasium import spaces
 from pydrake.common import RandomGenerator
 from pydrake.common.value import AbstractValue
-from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.geometry import Meshcat
 from pydrake.gym import DrakeGymEnv
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context
 
-from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.gym.rewards import (
     REWARDS,
     Reward,
@@ -34,6 +34,7 @@ from xray_drake.messages import (
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import SearchMonitor, attach_monitor
+from xray_drake.search.rollout import LONGEST_ACTION
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario, load_scenario
 from xray_drake.station.start import target_view
@@ -41,9 +42,6 @@ from xray_drake.station.start import target_view
 _SLICE = 0.05
 """s of simulated time between looks; the policy's period, so that the heap is
 seen at the moment at which the policy decides."""
-
-_LONGEST_ACTION = 30.0
-"""s of simulated time that no action takes."""
 
 _FIRST_SEED = 10_000
 """Seeds below are kept for acceptance and reports; a reset without a seed does
@@ -156,7 +154,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         self._drop = drop
         self._meshcat: Meshcat | None = None
         if render_mode == "human":
-            self._meshcat = Meshcat(MeshcatParams(host="localhost"))
+            self._meshcat = start_meshcat()
         number = scenario.scene.random_number
         most = number.most if number.mean > 0 else scenario.scene.num_objects
         num_actions = most + 1
@@ -334,7 +332,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
     def _advance(self, number: int) -> None:
         """Advances until an action has ended."""
         record = self.monitor.record
-        for _ in range(int(_LONGEST_ACTION / _SLICE)):
+        for _ in range(int(LONGEST_ACTION / _SLICE)):
             self._slice += 1
             self.simulator.AdvanceTo(self._slice * _SLICE)
             done = len(record.actions) == number and (
@@ -343,7 +341,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
             if done:
                 return
         raise RuntimeError(
-            f"no end of action {number} after {_LONGEST_ACTION:.0f} s of "
+            f"no end of action {number} after {LONGEST_ACTION:.0f} s of "
             f"simulated time (seed {self._seed}): a system hangs"
         )
 
@@ -398,20 +396,12 @@ class MechanicalSearchEnv(DrakeGymEnv):
         if self.monitor.record.success:
             return SearchState(0, 1.0, success=True)
         diagram: SearchDiagram = self.simulator.get_system()
-        target, name = diagram.heap.target, self.scenario.camera.name
-        body = diagram.station.objects[target.name].body
-        pose = self._eval("cheat.body_poses")[int(body.index())]
-        amodal = project_mesh_mask(
-            target.visual.vertices,
-            target.visual.faces,
-            pose.GetAsMatrix4(),
-            self._eval(f"{name}.camera"),
-        )
+        name = self.scenario.camera.name
         view = target_view(
             self._eval(f"{name}.label_image").data[:, :, 0],
-            amodal,
+            self.monitor.amodal_mask(self._context),
             diagram.station.labels,
-            target.name,
+            diagram.heap.target.name,
         )
         support = self._occupancy().support_size()
         return SearchState(support, view.visible_fraction)

@@ -105,7 +105,7 @@ class OccupancyInference(LeafSystem):
         if known is None or not known.is_of(depth, mask.data, camera):
             known = _Answered(
                 np.array(depth),
-                np.array(mask.data),
+                mask.data,
                 camera,
                 self._inference.infer(depth, mask.data, camera),
             )

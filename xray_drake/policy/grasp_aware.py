@@ -98,7 +98,7 @@ class GraspAware:
         near = [
             name
             for name in sorted(distances, key=lambda name: distances[name])
-            if distances[name] <= self.config.reach * _scale(outlook)
+            if distances[name] <= self.config.reach * outlook.camera.floor_scale
         ]
         values = {}
         for name in near[: self.config.candidates]:
@@ -113,19 +113,13 @@ class GraspAware:
         config = self.config
         rho = np.where(view.occupancy.support(), view.occupancy.data, 0)
         probable = (rho > config.probable) | outlook.target_mask
-        room = _distance(probable) <= config.finger * _scale(outlook)
+        room = _distance(probable) <= config.finger * outlook.camera.floor_scale
         places = np.maximum(rho, config.room * room)
         return {
             name: float(places[view.instances.mask(name)].sum(dtype=float))
             * (name != view.target)
             for name in view.candidates
         }
-
-
-def _scale(outlook: Outlook) -> float:
-    """Returns how many pixels a metre of the floor covers."""
-    camera = outlook.camera
-    return float(camera.intrinsics[0, 0] / camera.X_WC[2, 3])
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:

@@ -164,8 +164,7 @@ class _Imagined:
         self._removal = Removal(depth, outlook.camera)
         self._mass = np.where(occupancy.support(), occupancy.data, 0)
         self.size = float(occupancy.support_size())
-        camera = outlook.camera
-        scale = camera.intrinsics[0, 0] / camera.X_WC[2, 3]
+        scale = outlook.camera.floor_scale
         length, width, self._thickness = outlook.target_size
         self.least = min(scale**2 * length * width, self.size)
 

@@ -140,7 +140,7 @@ class TargetMemory:
             camera,
         )
         config = self.config
-        scale = camera.intrinsics[0, 0] / camera.X_WC[2, 3]
+        scale = camera.floor_scale
         reach = _REACH * scale * float(np.hypot(*self._size[:2]))
         heights = observed_heights(look.depth, camera, 0.0)
         low = (heights > -np.inf) & (heights < config.low * self._size[2])

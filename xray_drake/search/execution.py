@@ -72,18 +72,8 @@ def add_execution(
         )
     else:
         execution, wires = _contact(
-            builder, scenario, station, heap, bodies, parts.gripper
+            builder, scenario, station, heap, bodies, parts.gripper, meshcat
         )
-        if meshcat is not None:
-            light = builder.AddSystem(
-                SealLight(
-                    meshcat,
-                    parts.gripper.X_BC,
-                    sealed=scenario.gripper.contact.sealed,
-                )
-            )
-            cup = execution.boxes[1]
-            wires.append((cup, "state", light, "cup_state"))
     for source, output, drain, port in wires:
         builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
     return execution
@@ -129,6 +119,7 @@ def _contact(
     heap: Heap,
     bodies: Mapping[str, int],
     gripper: YumiGripper,
+    meshcat: Meshcat | None,
 ) -> tuple[Execution, list[_Wire]]:
     config, parameters = scenario.gripper, scenario.gripper.parameters
     time_step = scenario.plant_config.time_step
@@ -159,7 +150,7 @@ def _contact(
     )
     rest = builder.AddSystem(RestSensor(objects=heap.models, bodies=bodies))
     velocities = "body_spatial_velocities"
-    return Execution(controller, [controller, cup, rest]), [
+    wires: list[_Wire] = [
         (station, "wrist.state", controller, "wrist_state"),
         (station, "fingers.state", controller, "finger_state"),
         (cup, "state", controller, "cup_state"),
@@ -172,3 +163,9 @@ def _contact(
         (cup, "applied_spatial_force", station, "applied_spatial_force"),
         (station, "cheat.body_poses", rest, "body_poses"),
     ]
+    if meshcat is not None:
+        light = builder.AddSystem(
+            SealLight(meshcat, gripper.X_BC, sealed=config.contact.sealed)
+        )
+        wires.append((cup, "state", light, "cup_state"))
+    return Execution(controller, [controller, cup, rest]), wires

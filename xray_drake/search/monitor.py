@@ -193,6 +193,19 @@ class SearchMonitor:
         index = self._diagram.station.objects[self._target.name].body.index()
         return self._poses.Eval(context)[int(index)].GetAsMatrix4()
 
+    def amodal_mask(self, context: Context) -> np.ndarray:
+        """Returns the target's (H, W) bool pixels as if it lay alone.
+
+        Args:
+            context: of the search.
+        """
+        return project_mesh_mask(
+            self._target.visual.vertices,
+            self._target.visual.faces,
+            self._target_pose(context),
+            self._camera.Eval(context),
+        )
+
     def _is_clear(self, context: Context) -> bool:
         X = self._target_pose(context)
         lowest = (self._target.visual.vertices @ X[2, :3]).min() + X[2, 3]
@@ -215,12 +228,7 @@ class SearchMonitor:
         self._decided = action.number
         self._began = context.get_time()
         self._cleared = False
-        amodal = project_mesh_mask(
-            self._target.visual.vertices,
-            self._target.visual.faces,
-            self._target_pose(context),
-            self._camera.Eval(context),
-        )
+        amodal = self.amodal_mask(context)
         pixels = max(int(np.count_nonzero(amodal)), 1)
         visible = action.target_pixels / pixels
         support = self._occupancy.Eval(context).support()

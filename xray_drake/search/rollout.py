@@ -13,7 +13,7 @@ from xray_drake.station.scenario import Scenario
 _SLICE = 0.5
 """s of simulated time between looks at Ctrl-C and the watchdog."""
 
-_LONGEST_ACTION = 30.0
+LONGEST_ACTION = 30.0
 """s of simulated time that no action takes; a search longer than the horizon's
 worth of it hangs."""
 
@@ -50,7 +50,7 @@ def run_search(
     ApplySimulatorConfig(search.scenario.simulator_config, simulator)
     monitor = attach_monitor(simulator, search, observers=observers)
     record = monitor.record
-    limit = _LONGEST_ACTION * search.scenario.horizon
+    limit = LONGEST_ACTION * search.scenario.horizon
     try:
         simulator.Initialize()
         while not record.end:
