@@ -61,12 +61,15 @@ class JudgedGrasp:
         reason: why not, one line; empty where it is.
         X_WG: (4, 4) pose at which the gripper stops.
         width: distance of the pads when closed, m; 0 for suction.
+        holding: the largest weight that the contacts hold, N; 0 where it did
+            not come to that.
     """
 
     quality: float
     reason: str
     X_WG: np.ndarray
     width: float = 0.0
+    holding: float = 0.0
 
 
 def _moved(X: np.ndarray, distance: float) -> np.ndarray:
@@ -212,7 +215,11 @@ class GraspJudge:
         held = holding_quality(holding, weight)
         if held == 0.0:
             return JudgedGrasp(
-                0.0, f"holds {holding:.2f} N of {weight:.2f} N", X_WG, width
+                0.0,
+                f"holds {holding:.2f} N of {weight:.2f} N",
+                X_WG,
+                width,
+                holding,
             )
         y = X_OG[:3, 1]
         cosine = min(-contacts[0].normal @ y, contacts[1].normal @ y)
@@ -221,7 +228,7 @@ class GraspJudge:
             1.0 - np.arccos(min(1.0, cosine)) / np.arctan(max(friction, 1e-6)),
         )
         quality = held * (0.5 + 0.5 * alignment) * (0.5 + 0.5 * coverage)
-        return JudgedGrasp(float(quality), "", X_WG, width)
+        return JudgedGrasp(float(quality), "", X_WG, width, holding)
 
     def _stop_jaw(
         self, X_WG: np.ndarray, opening: float, start: float
@@ -356,7 +363,11 @@ class GraspJudge:
         held = holding_quality(holding, weight)
         if held == 0.0:
             return JudgedGrasp(
-                0.0, f"holds {holding:.2f} N of {weight:.2f} N", X_WG
+                0.0,
+                f"holds {holding:.2f} N of {weight:.2f} N",
+                X_WG,
+                holding=holding,
             )
         evenness = 1.0 - float(seal.unevenness[0]) / config.seal_tolerance
-        return JudgedGrasp(held * (0.5 + 0.5 * evenness), "", X_WG)
+        quality = held * (0.5 + 0.5 * evenness)
+        return JudgedGrasp(quality, "", X_WG, holding=holding)
