@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.disk import full_disk
+from xray_drake.cli.configure import configure
 from xray_drake.cli.main import app
-from xray_drake.cli.search import configure
 
 TOP_KEYS = {
     "success",
