@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -179,9 +180,11 @@ def test_who_stops_listening_stops_the_processes() -> None:
 
 
 INTERRUPTED = """
-import sys
+import signal
 from tests.test_processes import send_pid_and_stay
 from xray_drake.processes import JobProcesses
+# A shell's background job ignores it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 for event in JobProcesses(send_pid_and_stay, [1, 2, 3], workers=2):
     print(event.value, flush=True)
 """
@@ -199,13 +202,17 @@ def test_ctrl_c_leaves_no_process(to_all: bool) -> None:
         cwd=Path(__file__).parents[1],
     )
     assert program.stdout is not None
-    pids = [int(program.stdout.readline()) for _ in range(2)]
-    assert not any(map(gone, pids))
-    if to_all:
-        os.killpg(program.pid, signal.SIGINT)
-    else:
-        program.send_signal(signal.SIGINT)
-    out, err = program.communicate(timeout=60)
+    try:
+        pids = [int(program.stdout.readline()) for _ in range(2)]
+        assert not any(map(gone, pids))
+        if to_all:
+            os.killpg(program.pid, signal.SIGINT)
+        else:
+            program.send_signal(signal.SIGINT)
+        out, err = program.communicate(timeout=60)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)
     assert out == ""  # the third was not begun
     assert program.returncode == -signal.SIGINT
     assert err.splitlines()[-1] == "KeyboardInterrupt"
