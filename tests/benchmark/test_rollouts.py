@@ -3,7 +3,6 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -249,18 +248,18 @@ def test_an_interrupted_search_is_no_record(
         list(run_job(Job(dump_scenario(tiny()), 5, VARIANTS)))
 
 
-def dies_over_random(job: Job, sender: Connection) -> None:
+def dies_over_random(job: Job, send: Callable[[dict], None]) -> None:
     """A worker that is killed when it comes to the policy "random"."""
     for variant in job.variants:
         if variant.policy == "random":
             os.kill(os.getpid(), signal.SIGKILL)
-        sender.send(record(variant.policy, job.seed))
+        send(record(variant.policy, job.seed))
 
 
 def test_a_worker_that_dies_costs_one_rollout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rollouts, "_work", dies_over_random)
+    monkeypatch.setattr(rollouts, "_send_records", dies_over_random)
     wanted = variants(("largest", "random", "xray"), ("exact",))
     records = run(tmp_path, variants=wanted)
     assert keys(records) == keys(read_rollouts(tmp_path))
@@ -277,14 +276,14 @@ def test_a_worker_that_dies_costs_one_rollout(
             assert item["end"] == "success"
 
 
-def fails(job: Job, sender: Connection) -> None:
-    sender.send("TypeError: a fault")
+def fails(job: Job, send: Callable[[dict], None]) -> None:
+    raise TypeError("a fault")
 
 
 def test_a_fault_of_the_program_ends_the_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rollouts, "_work", fails)
+    monkeypatch.setattr(rollouts, "_send_records", fails)
     with pytest.raises(RuntimeError, match="seed 5: TypeError: a fault"):
         run(tmp_path)
     assert read_rollouts(tmp_path) == []

@@ -192,7 +192,7 @@ def main(
     pictures: Annotated[int, typer.Option(help="drawn of each target")] = 0,
 ) -> None:
     """Drops what is missing and prints the table."""
-    from xray_drake.scene.targets import TALL_TARGETS
+    from xray_drake.choices import TALL_TARGETS
 
     out.mkdir(parents=True, exist_ok=True)
     results = out / "results.jsonl"

@@ -1,25 +1,19 @@
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from tests.benchmark.synthetic import record, write_folder
+from tests.cli.running import answer
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
 from xray_drake.benchmark.report import make_report, table_2
 from xray_drake.benchmark.variants import Variant
 from xray_drake.cli import benchmark as module
-from xray_drake.cli.main import app
 from xray_drake.station.scenario import Scenario
 
-
-def benchmark(*arguments: object) -> tuple[int, str, str]:
-    """Returns exit status, standard output and standard error."""
-    result = CliRunner().invoke(app, ["benchmark", *map(str, arguments)])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+benchmark = partial(answer, "benchmark")
 
 
 @pytest.fixture

@@ -6,7 +6,9 @@ import typer
 from typer.testing import CliRunner
 
 from xray_drake import __version__
+from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.cli.main import app, errors_as_lines
+from xray_drake.policy.policies import POLICIES
 
 
 def test_version() -> None:
@@ -23,6 +25,41 @@ def test_help_names_every_command() -> None:
         *("generate", "dataset", "inspect", "objects"),
     ):
         assert command in result.stdout
+
+
+def help_of(command: str) -> str:
+    result = CliRunner().invoke(
+        app, [command, "--help"], env={"COLUMNS": "1000"}
+    )
+    assert result.exit_code == 0
+    return result.stdout
+
+
+def line_of(option: str, text: str) -> str:
+    (line,) = [line for line in text.splitlines() if f" {option} " in line]
+    return line
+
+
+@pytest.mark.parametrize(
+    ("command", "option"), [("search", "--policy"), ("benchmark", "--policies")]
+)
+def test_help_names_every_policy(command: str, option: str) -> None:
+    line = line_of(option, help_of(command))
+    for name in POLICIES:
+        assert name in line
+
+
+@pytest.mark.parametrize(
+    ("command", "more"),
+    [("search", TALL_TARGETS), ("benchmark", TALL_TARGETS), ("generate", ())],
+)
+def test_help_names_every_target(command: str, more: tuple[str, ...]) -> None:
+    line = line_of("--target", help_of(command))
+    assert f"{BOX_TARGETS[0]} … {BOX_TARGETS[-1]}" in line
+    for name in {*TARGET_NAMES, *more} - {*BOX_TARGETS}:
+        assert name in line
+    for name in {*TALL_TARGETS} - {*more}:
+        assert name not in line
 
 
 @pytest.mark.parametrize("arguments", ["'--version'", "'search', '--help'"])

@@ -1,20 +1,14 @@
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from tests.benchmark.synthetic import record, write_folder
+from tests.cli.running import answer
 from xray_drake.benchmark.records import collect
 from xray_drake.benchmark.report import make_report, markdown, table_2
-from xray_drake.cli.main import app
 
-
-def report(*arguments: object) -> tuple[int, str, str]:
-    """Returns exit status, standard output and standard error."""
-    result = CliRunner().invoke(app, ["report", *map(str, arguments)])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+report = partial(answer, "report")
 
 
 @pytest.fixture

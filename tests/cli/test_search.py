@@ -4,14 +4,14 @@ import re
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
+from tests.cli.running import answer
 from tests.disk import full_disk
-from xray_drake.cli.main import app
-from xray_drake.cli.search import configure
+from xray_drake.cli.configure import configure
 
 TOP_KEYS = {
     "success",
@@ -66,12 +66,7 @@ def small(tmp_path: Path) -> Path:
     return path
 
 
-def search(*arguments: object) -> tuple[int, str, str]:
-    """Returns exit status, standard output and standard error."""
-    result = CliRunner().invoke(app, ["search", *map(str, arguments)])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+search = partial(answer, "search")
 
 
 def complaint(*arguments: object) -> str:

@@ -96,7 +96,7 @@ def test_a_killed_process_is_tried_again_then_named(
     """A shard whose process dies is made by another, once."""
     manifest = small(1)
     missing = open_dataset(tmp_path, manifest, resume=False)
-    monkeypatch.setattr(engine, "_work", _die)
+    monkeypatch.setattr(engine, "_make", _die)
     with pytest.raises(RuntimeError, match=r"train-00000.h5 died .* 2 times"):
         list(run_processes(tmp_path, manifest, missing, workers=1))
 

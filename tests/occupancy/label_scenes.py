@@ -7,8 +7,9 @@ import trimesh
 
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import make_camera, occluders
+from xray_drake.choices import TARGET_NAMES
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.scene.targets import TARGET_NAMES, target_model
+from xray_drake.scene.targets import target_model
 
 KINDS = ("hidden", "partly", "visible")
 

@@ -15,10 +15,10 @@ from tests.occupancy.label_scenes import (
     walls,
 )
 from tests.occupancy.scenes import CAMERAS, make_camera, occluders
+from xray_drake.choices import TARGET_NAMES
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.instances import instance_image
 from xray_drake.occupancy.label import LabelConfig, occupancy_label
-from xray_drake.scene.targets import TARGET_NAMES
 
 NOMINAL = CAMERAS["nominal"]
 NOTHING = np.zeros(NOMINAL.shape, dtype=bool)

@@ -18,7 +18,8 @@ from xray_drake.occupancy.resting_inference import (
     HIDDEN_STEP,
     RestingInference,
 )
-from xray_drake.occupancy.standing import StandingTarget, View
+from xray_drake.occupancy.standing import StandingTarget
+from xray_drake.occupancy.standing_kernels import View
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 

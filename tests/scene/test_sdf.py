@@ -8,6 +8,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from xray_drake.choices import TARGET_NAMES
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
     ContactConfig,
@@ -16,7 +17,7 @@ from xray_drake.scene.contact import (
 from xray_drake.scene.library import make_object
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.sdf import write_sdf, write_targets
-from xray_drake.scene.targets import TARGET_NAMES, target_model
+from xray_drake.scene.targets import target_model
 
 
 def parse(path):

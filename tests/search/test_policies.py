@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from xray_drake.choices import POLICIES
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.gripper.quasi_static import QuasiStaticGripper
 from xray_drake.policy import policies
@@ -17,7 +18,7 @@ from xray_drake.search import execution
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
-from xray_drake.station.scenario import POLICIES, Scenario
+from xray_drake.station.scenario import Scenario
 
 
 class Recorder:

@@ -5,7 +5,7 @@ import pytest
 from pydrake.common.schema import Rotation
 from pydrake.common.yaml import yaml_dump_typed
 
-from xray_drake.scene.targets import TALL_TARGETS, TARGET_NAMES
+from xray_drake.choices import TALL_TARGETS, TARGET_NAMES
 from xray_drake.station.scenario import (
     Scenario,
     ScenarioError,

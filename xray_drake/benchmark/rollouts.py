@@ -2,13 +2,9 @@
 
 import gc
 import json
-import multiprocessing
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from xray_drake.benchmark.records import (
@@ -22,11 +18,8 @@ from xray_drake.benchmark.records import (
 )
 from xray_drake.benchmark.variants import Variant
 from xray_drake.files import write_whole_file
+from xray_drake.processes import Died, Failed, JobProcesses, Sent
 from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
-from xray_drake.threads import limit_threads
-
-_ATTEMPTS = 2
-"""How often a rollout is tried whose process dies (killed for memory, say)."""
 
 
 @dataclass(frozen=True)
@@ -140,84 +133,43 @@ def run_rollouts(
 def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[Record]:
     """Runs jobs, each in a process of its own.
 
-    A process ends with its heap, so that memory does not grow: each rollout
-    leaves some 90 MB, since diagrams with systems in Python are in reference
-    cycles through C++.
+    Each rollout leaves some 90 MB, since diagrams with systems in Python are
+    in reference cycles through C++.
     """
-    limit_threads()  # the workers', which inherit it
-    context = multiprocessing.get_context("forkserver")
-    # Forked from a server that has imported everything, a process starts at
-    # once; one that is spawned takes seconds.
-    context.set_forkserver_preload(["xray_drake.search.rollout"])
-    waiting = [(job, 1) for job in reversed(jobs)]
-    running: dict[Connection, tuple[BaseProcess, Job, int]] = {}
-    with ExitStack() as stack:
-        stack.callback(_stop, running)
-        while waiting or running:
-            while waiting and len(running) < workers:
-                job, attempt = waiting.pop()
-                receiver, sender = context.Pipe(duplex=False)
-                process: BaseProcess = context.Process(
-                    target=_work, args=(job, sender)
-                )
-                process.start()
-                sender.close()
-                running[receiver] = process, job, attempt
-            for ready in wait(list(running)):
-                assert isinstance(ready, Connection)
-                process, job, attempt = running[ready]
-                try:
-                    message = ready.recv()
-                except EOFError:
-                    message = None
-                if isinstance(message, dict):
-                    left = tuple(
-                        v for v in job.variants if v != Variant.of(message)
-                    )
-                    running[ready] = process, replace(job, variants=left), 1
-                    yield message
-                    continue
-                del running[ready]
-                ready.close()
-                process.join()
-                if isinstance(message, str):
-                    raise RuntimeError(f"heap of seed {job.seed}: {message}")
-                if process.exitcode == 0 or not job.variants:
-                    continue
-                if attempt < _ATTEMPTS:
-                    waiting.append((job, attempt + 1))
-                    continue
+    processes = JobProcesses(
+        _send_records,
+        jobs,
+        workers=workers,
+        preload=["xray_drake.search.rollout"],
+        remaining=_remaining,
+    )
+    for event in processes:
+        match event:
+            case Sent(value=record):
+                yield record
+            case Failed(job=job, reason=reason):
+                raise RuntimeError(f"heap of seed {job.seed}: {reason}")
+            case Died(job=job, again=False) as died:
                 first, *others = job.variants
                 yield _failure(
                     parse_scenario(job.scenario, "benchmark"),
                     first,
-                    f"its process died with status {process.exitcode} "
-                    f"{attempt} times",
+                    f"its process died with status {died.status} "
+                    f"{died.attempts} times",
                     seed=job.seed,
                 )
                 if others:
-                    waiting.append((replace(job, variants=tuple(others)), 1))
+                    processes.add(replace(job, variants=tuple(others)))
 
 
-def _work(job: Job, sender: Connection) -> None:
-    # What is imported stays: the collector need not look at it.
-    gc.freeze()
-    try:
-        for record in run_job(job):
-            sender.send(record)
-    except KeyboardInterrupt:
-        return
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        sender.send(f"{type(error).__name__}: {reason}")
-        raise
+def _send_records(job: Job, send: Callable[[Record], None]) -> None:
+    for record in run_job(job):
+        send(record)
 
 
-def _stop(running: dict[Connection, tuple[BaseProcess, Job, int]]) -> None:
-    for process, *_ in running.values():
-        process.terminate()
-    for process, *_ in running.values():
-        process.join()
+def _remaining(job: Job, record: Record) -> Job | None:
+    left = tuple(v for v in job.variants if v != Variant.of(record))
+    return replace(job, variants=left) if left else None
 
 
 def _configured(scenario: Scenario, variant: Variant) -> Scenario:

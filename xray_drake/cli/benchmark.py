@@ -26,7 +26,7 @@ from xray_drake.benchmark.records import (
 from xray_drake.benchmark.report import make_report, table_2
 from xray_drake.benchmark.rollouts import run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
-from xray_drake.cli.search import configure
+from xray_drake.cli.configure import configure
 from xray_drake.station.objects import imported_objects
 from xray_drake.station.scenario import Scenario
 
@@ -38,7 +38,7 @@ class BenchmarkOptions:
     Attributes:
         out: folder of the records.
         scenario: a name or a YAML file.
-        overrides: as ``SearchOptions.overrides``.
+        overrides: see :func:`xray_drake.cli.options.overrides`.
         policies: names with commas between.
         occupancy: what infers the distribution, with commas between, or ""
             for the scenario's.

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.exits import FAILED
+from xray_drake.cli.options import AsJson, Dataset, Workers
 
 if TYPE_CHECKING:
     from xray_drake.dataset.check import CheckReport
@@ -26,30 +27,22 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-_Folder = Annotated[
-    Path, typer.Argument(metavar="FOLDER", help="Holds dataset.json.")
-]
-_Json = Annotated[
-    bool, typer.Option("--json", help="Print JSON and nothing else.")
-]
-_Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
-
 
 @app.command()
 def check(
-    folder: _Folder,
+    dataset: Dataset,
     fast: Annotated[
         bool,
         typer.Option(
             "--fast", help="Open each shard only; do not read every byte."
         ),
     ] = False,
-    json: _Json = False,
-    workers: _Workers = 1,
+    json: AsJson = False,
+    workers: Workers = 1,
 ) -> None:
     """Check every file, byte and sample; exit 1 where something is wrong."""
     with errors_as_lines():
-        report = _check(folder, deep=not fast, workers=workers)
+        report = _check(dataset, deep=not fast, workers=workers)
         if json:
             _print_json(report)
         else:
@@ -59,10 +52,10 @@ def check(
 
 
 @app.command()
-def info(folder: _Folder, json: _Json = False, workers: _Workers = 1) -> None:
+def info(dataset: Dataset, json: AsJson = False, workers: Workers = 1) -> None:
     """Tell what a dataset holds; damage is told, but is no failure."""
     with errors_as_lines():
-        report = _check(folder, deep=True, workers=workers)
+        report = _check(dataset, deep=True, workers=workers)
         if json:
             _print_json(report)
         else:

@@ -20,6 +20,7 @@ from rich.progress import (
 
 from xray_drake import __version__
 from xray_drake.cli.errors import errors_as_lines
+from xray_drake.cli.options import Dataset, OfSplit, OfTargets
 
 if TYPE_CHECKING:
     from xray_drake.dataset.sample import Sample
@@ -37,9 +38,7 @@ _PICTURES = (".png", ".pdf", ".svg")
 
 @app.command()
 def occupancy(
-    dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="Holds dataset.json.")
-    ],
+    dataset: Dataset,
     weights: Annotated[
         list[Path] | None,
         typer.Option(help="Of a network; repeatable."),
@@ -55,12 +54,8 @@ def occupancy(
             "image to the box.",
         ),
     ] = False,
-    split: Annotated[
-        str | None, typer.Option(help="train, validation or test.")
-    ] = None,
-    target: Annotated[
-        list[str] | None, typer.Option(help="Of this target; repeatable.")
-    ] = None,
+    split: OfSplit = None,
+    target: OfTargets = None,
     images: Annotated[
         int | None,
         typer.Option(min=1, help="How many, drawn at random; by default all."),

@@ -20,7 +20,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from xray_drake.cli.search import configure
+from xray_drake.choices import BOX_TARGETS, TARGET_NAMES
+from xray_drake.cli.configure import configure
 from xray_drake.dataset.check import check_dataset
 from xray_drake.dataset.engine import (
     open_dataset,
@@ -29,7 +30,6 @@ from xray_drake.dataset.engine import (
 )
 from xray_drake.dataset.generator import ShardReport, plan_dataset
 from xray_drake.dataset.manifest import Manifest
-from xray_drake.scene.targets import BOX_TARGETS, TARGET_NAMES
 from xray_drake.splits import SPLITS
 from xray_drake.station.objects import imported_objects
 from xray_drake.station.scenario import ScenarioError
@@ -49,7 +49,7 @@ class GenerateOptions:
         out: folder of the dataset.
         images: how many.
         scenario: a name or a YAML file.
-        overrides: as ``SearchOptions.overrides``.
+        overrides: see :func:`xray_drake.cli.options.overrides`.
         target: a name, names with commas, "all" for the ten boxes, or "" for
             the scenario's.
         split: train, validation, test or all.

@@ -1,7 +1,6 @@
 """``xray-drake``: one command per job."""
 
 import logging
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -15,8 +14,32 @@ from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.evaluate import app as evaluate_app
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
+from xray_drake.cli.options import (
+    CORES,
+    FLAT_TARGETS,
+    Detector,
+    Execution,
+    Grasps,
+    Horizon,
+    Meshes,
+    NumObjects,
+    Occupancies,
+    Occupancy,
+    Policies,
+    Policy,
+    Scale,
+    ScenarioName,
+    Segmenter,
+    Target,
+    TargetFirst,
+    Weights,
+    Workers,
+    one_of,
+    overrides,
+)
 from xray_drake.cli.report import report
 from xray_drake.cli.train import train
+from xray_drake.splits import SPLITS
 
 app = typer.Typer(
     name="xray-drake",
@@ -31,17 +54,6 @@ def _version(value: bool) -> None:
     if value:
         typer.echo(f"xray-drake {__version__}")
         raise typer.Exit
-
-
-_Meshes = Annotated[
-    list[Path] | None,
-    typer.Option(
-        help="Folder of meshes that replace the distractors; repeatable."
-    ),
-]
-_Scale = Annotated[
-    float | None, typer.Option(help="Factor from their unit to metres.")
-]
 
 
 @app.callback()
@@ -63,53 +75,23 @@ def _main(
 
 @app.command()
 def search(
-    scenario: Annotated[
-        str, typer.Option(help="Name of a scenario, or a YAML file.")
-    ] = "demo",
-    policy: Annotated[
-        str | None, typer.Option(help="xray, largest or random.")
-    ] = None,
-    target: Annotated[
-        str | None,
-        typer.Option(help="box_1to1 … box_10to1, lid, domino, flute."),
-    ] = None,
-    num_objects: Annotated[
-        int | None, typer.Option(help="Distractors to drop.")
-    ] = None,
+    scenario: ScenarioName = "demo",
+    policy: Policy = None,
+    target: Target = None,
+    num_objects: NumObjects = None,
     seed: Annotated[
         int | None, typer.Option(help="Of heap, policy and execution.")
     ] = None,
-    horizon: Annotated[
-        int | None, typer.Option(help="Actions at most.")
-    ] = None,
-    meshes: _Meshes = None,
-    scale: _Scale = None,
-    execution: Annotated[
-        str | None, typer.Option(help="quasi_static or contact.")
-    ] = None,
-    occupancy: Annotated[
-        str | None, typer.Option(help="learned, posterior or exact.")
-    ] = None,
-    weights: Annotated[
-        str | None,
-        typer.Option(help="File of a network's weights, or a folder of them."),
-    ] = None,
-    detector: Annotated[
-        str | None, typer.Option(help="ground_truth or hsv.")
-    ] = None,
-    segmenter: Annotated[
-        str | None, typer.Option(help="ground_truth or depth.")
-    ] = None,
-    grasps: Annotated[
-        str | None, typer.Option(help="models, or depth without any.")
-    ] = None,
-    target_first: Annotated[
-        bool | None,
-        typer.Option(
-            "--target-first/--no-target-first",
-            help="Grasp the target whenever a grasp on it exists.",
-        ),
-    ] = None,
+    horizon: Horizon = None,
+    meshes: Meshes = None,
+    scale: Scale = None,
+    execution: Execution = None,
+    occupancy: Occupancy = None,
+    weights: Weights = None,
+    detector: Detector = None,
+    segmenter: Segmenter = None,
+    grasps: Grasps = None,
+    target_first: TargetFirst = None,
     json: Annotated[
         Path | None, typer.Option(help="Write the record here.")
     ] = None,
@@ -132,24 +114,22 @@ def search(
         code = run(
             SearchOptions(
                 scenario=scenario,
-                overrides={
-                    "policy.name": policy,
-                    "policy.target_first": target_first,
-                    "scene.target": target,
-                    "scene.num_objects": num_objects,
-                    "scene.meshes": [str(m) for m in meshes]
-                    if meshes
-                    else None,
-                    "scene.mesh_scale": scale,
-                    "seed": seed,
-                    "horizon": horizon,
-                    "gripper.execution": execution,
-                    "gripper.grasps": grasps,
-                    "perception.occupancy": occupancy,
-                    "perception.weights": weights,
-                    "perception.detector": detector,
-                    "perception.segmenter": segmenter,
-                },
+                overrides=overrides(
+                    policy=policy,
+                    target_first=target_first,
+                    target=target,
+                    num_objects=num_objects,
+                    meshes=meshes,
+                    scale=scale,
+                    seed=seed,
+                    horizon=horizon,
+                    execution=execution,
+                    grasps=grasps,
+                    occupancy=occupancy,
+                    weights=weights,
+                    detector=detector,
+                    segmenter=segmenter,
+                ),
                 json=json,
                 html=html,
                 meshcat=meshcat,
@@ -164,55 +144,25 @@ def benchmark(
     out: Annotated[
         Path, typer.Option(help="Folder for the records; resumed if it exists.")
     ],
-    scenario: Annotated[
-        str, typer.Option(help="Name of a scenario, or a YAML file.")
-    ] = "demo",
-    policies: Annotated[
-        str, typer.Option(help="Names with commas between.")
-    ] = "random,largest,xray",
-    occupancy: Annotated[
-        str,
-        typer.Option(
-            help="learned, posterior, exact, or some with commas between: "
-            "policies that look at the distribution run with each. By default "
-            "the scenario's."
-        ),
-    ] = "",
+    scenario: ScenarioName = "demo",
+    policies: Policies = "random,largest,xray",
+    occupancy: Occupancies = "",
     heaps: Annotated[int, typer.Option(min=1, help="How many heaps.")] = 30,
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the first; then one by one.")
     ] = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Processes.")
-    ] = os.cpu_count() or 1,
-    target: Annotated[str | None, typer.Option(help="Replaces it.")] = None,
-    num_objects: Annotated[
-        int | None, typer.Option(help="Distractors to drop.")
-    ] = None,
-    meshes: _Meshes = None,
-    scale: _Scale = None,
-    horizon: Annotated[
-        int | None, typer.Option(help="Actions at most.")
-    ] = None,
-    target_first: Annotated[
-        bool | None, typer.Option("--target-first/--no-target-first")
-    ] = None,
-    execution: Annotated[
-        str | None, typer.Option(help="quasi_static or contact.")
-    ] = None,
-    weights: Annotated[
-        str | None,
-        typer.Option(help="File of a network's weights, or a folder of them."),
-    ] = None,
-    detector: Annotated[
-        str | None, typer.Option(help="ground_truth or hsv.")
-    ] = None,
-    segmenter: Annotated[
-        str | None, typer.Option(help="ground_truth or depth.")
-    ] = None,
-    grasps: Annotated[
-        str | None, typer.Option(help="models, or depth without any.")
-    ] = None,
+    workers: Workers = CORES,
+    target: Target = None,
+    num_objects: NumObjects = None,
+    meshes: Meshes = None,
+    scale: Scale = None,
+    horizon: Horizon = None,
+    target_first: TargetFirst = None,
+    execution: Execution = None,
+    weights: Weights = None,
+    detector: Detector = None,
+    segmenter: Segmenter = None,
+    grasps: Grasps = None,
     resume: Annotated[
         bool,
         typer.Option(
@@ -229,23 +179,18 @@ def benchmark(
             BenchmarkOptions(
                 out=out,
                 scenario=scenario,
-                overrides={
-                    "scene.target": target,
-                    "scene.num_objects": num_objects,
-                    "scene.random_number.mean": None
-                    if num_objects is None
-                    else 0.0,
-                    "scene.meshes": [str(m) for m in meshes]
-                    if meshes
-                    else None,
-                    "scene.mesh_scale": scale,
-                    "horizon": horizon,
-                    "gripper.execution": execution,
-                    "gripper.grasps": grasps,
-                    "perception.weights": weights,
-                    "perception.detector": detector,
-                    "perception.segmenter": segmenter,
-                },
+                overrides=overrides(
+                    target=target,
+                    num_objects=num_objects,
+                    meshes=meshes,
+                    scale=scale,
+                    horizon=horizon,
+                    execution=execution,
+                    grasps=grasps,
+                    weights=weights,
+                    detector=detector,
+                    segmenter=segmenter,
+                ),
                 policies=policies,
                 occupancy=occupancy,
                 target_first=target_first,
@@ -259,29 +204,28 @@ def benchmark(
 
 @app.command()
 def generate(
-    out: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Folder of the dataset.")
+    ],
     images: Annotated[int, typer.Option(min=1, help="How many.")] = 10_000,
-    scenario: Annotated[
-        str, typer.Option(help="Name of a scenario, or a YAML file.")
-    ] = "paper",
+    scenario: ScenarioName = "paper",
     target: Annotated[
         str,
         typer.Option(
-            help="A target, some with commas between, or all: an equal share "
-            "for each of the ten boxes. By default the scenario's."
+            help=f"{one_of(FLAT_TARGETS)}, or some with commas between; or "
+            "all: an equal share for each of the ten boxes. By default the "
+            "scenario's."
         ),
     ] = "",
     split: Annotated[
         str,
         typer.Option(
-            help="Which objects: train, validation, test; or all: 80, 10 and "
-            "10 % of the images."
+            help=f"Which objects: {one_of(SPLITS)}; or all: 80, 10 and 10 % of "
+            "the images."
         ),
     ] = "train",
     seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Processes.")
-    ] = os.cpu_count() or 1,
+    workers: Workers = CORES,
     views_per_heap: Annotated[
         int, typer.Option(min=1, help="Cameras for each state of a heap.")
     ] = 1,
@@ -293,11 +237,9 @@ def generate(
             "at rest.",
         ),
     ] = 1,
-    num_objects: Annotated[
-        int | None, typer.Option(help="Distractors in every heap.")
-    ] = None,
-    meshes: _Meshes = None,
-    scale: _Scale = None,
+    num_objects: NumObjects = None,
+    meshes: Meshes = None,
+    scale: Scale = None,
     color: Annotated[
         bool, typer.Option("--color", help="With colour images.")
     ] = False,
@@ -322,18 +264,14 @@ def generate(
     from xray_drake.cli.generate import GenerateOptions, run
 
     with errors_as_lines():
-        overrides: dict[str, object] = {
-            "scene.num_objects": num_objects,
-            "scene.random_number.mean": None if num_objects is None else 0.0,
-            "scene.meshes": [str(m) for m in meshes] if meshes else None,
-            "scene.mesh_scale": scale,
-        }
         run(
             GenerateOptions(
                 out=out,
                 images=images,
                 scenario=scenario,
-                overrides=overrides,
+                overrides=overrides(
+                    num_objects=num_objects, meshes=meshes, scale=scale
+                ),
                 target=target,
                 split=split,
                 seed=seed,

@@ -12,6 +12,8 @@ from rich.progress import Progress
 from rich.table import Table
 
 from xray_drake.cli.errors import errors_as_lines
+from xray_drake.cli.options import AsJson, one_of
+from xray_drake.splits import SPLITS
 
 if TYPE_CHECKING:
     from xray_drake.scene.object_model import ObjectModel
@@ -27,15 +29,15 @@ app = typer.Typer(
 _Names = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[NAMES]...",
+        metavar="NAMES",
         help="As in bottle_003, gear_* or bottle_003_packaged; by default all.",
     ),
 ]
 _Split = Annotated[
     str | None,
     typer.Option(
-        help="train, validation or test; by default train, or any where names "
-        "or families are given."
+        help=f"{one_of(SPLITS)}; by default train, or any where names or "
+        "families are given."
     ),
 ]
 _Family = Annotated[
@@ -52,9 +54,7 @@ def list_objects(
     split: _Split = None,
     family: _Family = None,
     packaged: _Packaged = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print JSON and nothing else.")
-    ] = False,
+    json: AsJson = False,
 ) -> None:
     """Tell the name, split, size, mass and pieces of objects."""
     with errors_as_lines():
@@ -134,7 +134,9 @@ def show(
 
 @app.command()
 def export(
-    out: Annotated[Path, typer.Argument(help="Folder to write into.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Folder to write into.")
+    ],
     names: _Names = None,
     split: _Split = None,
     family: _Family = None,
@@ -188,7 +190,6 @@ def choose(
         ValueError: something that does not exist, or nothing chosen.
     """
     from xray_drake.scene.library import (
-        SPLITS,
         make_object,
         object_names,
         split_of,

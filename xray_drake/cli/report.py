@@ -12,9 +12,7 @@ from xray_drake.cli.errors import errors_as_lines
 def report(
     folders: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="DIR...", help="Folders of xray-drake benchmark."
-        ),
+        typer.Argument(metavar="DIR", help="Folders of xray-drake benchmark."),
     ],
     out: Annotated[
         Path | None,

@@ -1,6 +1,5 @@
 """``xray-drake search``."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from xray_drake.cli.configure import configure
 from xray_drake.cli.exits import INTERRUPTED
 from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
 from xray_drake.inspector.recording import record_search, write_html
@@ -26,12 +26,7 @@ from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.record import ActionRecord, SearchRecord, write_record
 from xray_drake.search.rollout import run_search
 from xray_drake.station.objects import make_heap
-from xray_drake.station.scenario import (
-    Scenario,
-    ScenarioError,
-    check_scenario,
-    load_scenario,
-)
+from xray_drake.station.scenario import Scenario, ScenarioError
 
 
 @dataclass
@@ -40,8 +35,7 @@ class SearchOptions:
 
     Attributes:
         scenario: a name or a YAML file.
-        overrides: path of a field ("scene.target") to its value, or to None
-            to leave it as the scenario has it.
+        overrides: see :func:`xray_drake.cli.options.overrides`.
         json, html: files to write.
         meshcat: show it live.
     """
@@ -80,32 +74,6 @@ class _Narrator:
         if record.reason:
             parts.append(record.reason)
         self._console.print("  ".join(parts), highlight=False, soft_wrap=True)
-
-
-def configure(
-    name: str, overrides: Mapping[str, Any], *, searched: bool = True
-) -> Scenario:
-    """Loads a scenario and puts in what the command line says.
-
-    Args:
-        name: of a scenario, or a YAML file.
-        overrides: see :class:`SearchOptions`.
-        searched: see :func:`xray_drake.station.scenario.check_scenario`.
-
-    Raises:
-        ScenarioError: see :func:`xray_drake.station.scenario.load_scenario`.
-    """
-    scenario = load_scenario(name, searched=searched)
-    for path, value in overrides.items():
-        if value is None:
-            continue
-        *parents, field = path.split(".")
-        owner: Any = scenario
-        for parent in parents:
-            owner = getattr(owner, parent)
-        setattr(owner, field, value)
-    check_scenario(scenario, "command line", searched=searched)
-    return scenario
 
 
 def run(options: SearchOptions, console: Console) -> int:

@@ -1,6 +1,5 @@
 """``xray-drake train``."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -10,12 +9,13 @@ from rich.progress import MofNCompleteColumn, Progress
 
 from xray_drake.cli.errors import complain, errors_as_lines
 from xray_drake.cli.exits import INTERRUPTED
+from xray_drake.cli.options import CORES
 
 
 def train(
     datasets: Annotated[
         list[Path],
-        typer.Argument(metavar="DATASET...", help="Made by generate."),
+        typer.Argument(metavar="DATASET", help="Made by generate."),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the run.")],
     config: Annotated[
@@ -36,7 +36,7 @@ def train(
     ] = None,
     workers: Annotated[
         int, typer.Option(min=1, help="Processes that prepare, or read.")
-    ] = os.cpu_count() or 1,
+    ] = CORES,
     accelerator: Annotated[
         str, typer.Option(help="auto, cpu or gpu.")
     ] = "auto",
@@ -46,7 +46,9 @@ def train(
             "--incomplete", help="Train on what is there of the datasets."
         ),
     ] = False,
-    devices: Annotated[int, typer.Option(min=1, help="GPUs.")] = 1,
+    devices: Annotated[
+        int, typer.Option(min=1, help="GPUs; processes with --accelerator cpu.")
+    ] = 1,
 ) -> None:
     """Train an occupancy network on datasets; writes weights and a card."""
     from xray_drake.training.config import check_config, load_config

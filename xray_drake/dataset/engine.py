@@ -1,14 +1,9 @@
 """Runs the making of shards over processes, or over a Ray cluster."""
 
-import gc
-import multiprocessing
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from xray_drake.dataset.generator import ShardReport, make_shard
 from xray_drake.dataset.manifest import (
@@ -20,10 +15,8 @@ from xray_drake.dataset.manifest import (
 )
 from xray_drake.dataset.shards import ShardError, verify_shard
 from xray_drake.files import remove_leftovers, write_whole_file
+from xray_drake.processes import ATTEMPTS, Died, Failed, JobProcesses, Sent
 from xray_drake.threads import limit_threads
-
-_ATTEMPTS = 2
-"""How often a shard is tried whose process dies (killed for memory, say)."""
 
 Progress = Callable[[str, int], None]
 """Is told a shard's name and how many of its samples are made."""
@@ -91,8 +84,7 @@ def run_processes(
 ) -> Iterator[ShardReport]:
     """Makes shards, each in a process of its own, and yields their reports.
 
-    A process ends with its shard, so that memory does not grow. Which process
-    makes a shard, and when, changes nothing in it.
+    Which process makes a shard, and when, changes nothing in it.
 
     Args:
         folder: of the dataset.
@@ -105,80 +97,39 @@ def run_processes(
         RuntimeError: a shard could not be made; the message names it. The
             others under way are stopped; what is on disk stays.
     """
-    limit_threads()
-    context = multiprocessing.get_context("forkserver")
-    # Forked from a server that has imported everything, a process starts at
-    # once; one that is spawned takes seconds.
-    context.set_forkserver_preload(["xray_drake.dataset.generator"])
-    waiting = [(shard, 1) for shard in reversed(shards)]
-    running: dict[Connection, tuple[BaseProcess, ExpectedShard, int]] = {}
-    with ExitStack() as stack:
-        stack.callback(_stop, running)
-        while waiting or running:
-            while waiting and len(running) < workers:
-                shard, attempt = waiting.pop()
-                receiver, sender = context.Pipe(duplex=False)
-                process: BaseProcess = context.Process(
-                    target=_work, args=(folder, manifest, shard, sender)
+    events = JobProcesses(
+        partial(_make, folder, manifest),
+        shards,
+        workers=workers,
+        preload=["xray_drake.dataset.generator"],
+    )
+    for event in events:
+        match event:
+            case Sent(value=ShardReport() as report):
+                yield report
+            case Sent(job=shard, value=int(samples)):
+                progress(shard.name, samples)
+            case Failed(job=shard, reason=reason):
+                raise RuntimeError(
+                    f"{shard.name}: {reason}; go on with --resume"
                 )
-                process.start()
-                sender.close()
-                running[receiver] = process, shard, attempt
-            for ready in wait(list(running)):
-                assert isinstance(ready, Connection)
-                process, shard, attempt = running[ready]
-                try:
-                    kind, value = ready.recv()
-                except EOFError:
-                    kind, value = "died", None
-                if kind == "progress":
-                    progress(shard.name, value)
-                    continue
-                del running[ready]
-                ready.close()
-                process.join()
-                if kind == "done":
-                    yield value
-                elif kind == "died" and attempt < _ATTEMPTS:
-                    progress(shard.name, 0)
-                    waiting.append((shard, attempt + 1))
-                elif kind == "died":
-                    raise RuntimeError(
-                        f"the process that made {shard.name} died with status "
-                        f"{process.exitcode} {attempt} times: look for memory "
-                        "that ran out, then go on with --resume"
-                    )
-                else:
-                    raise RuntimeError(
-                        f"{shard.name}: {value}; go on with --resume"
-                    )
+            case Died(job=shard, again=True):
+                progress(shard.name, 0)
+            case Died(job=shard) as died:
+                raise RuntimeError(
+                    f"the process that made {shard.name} died with status "
+                    f"{died.status} {died.attempts} times: look for memory "
+                    "that ran out, then go on with --resume"
+                )
 
 
-def _stop(running: dict[Connection, tuple[BaseProcess, Any, Any]]) -> None:
-    for process, *_ in running.values():
-        process.terminate()
-    for process, *_ in running.values():
-        process.join()
-
-
-def _work(
-    folder: Path, manifest: Manifest, shard: ExpectedShard, sender: Connection
+def _make(
+    folder: Path,
+    manifest: Manifest,
+    shard: ExpectedShard,
+    send: Callable[[int | ShardReport], None],
 ) -> None:
-    # What is imported stays: the collector need not look at it heap by heap.
-    gc.freeze()
-    try:
-        report = make_shard(
-            folder,
-            manifest,
-            shard,
-            progress=lambda samples: sender.send(("progress", samples)),
-        )
-    except KeyboardInterrupt:
-        return
-    except (ValueError, RuntimeError, OSError) as error:
-        sender.send(("failed", " ".join(str(error).split())))
-    else:
-        sender.send(("done", report))
+    send(make_shard(folder, manifest, shard, progress=send))
 
 
 def run_ray(
@@ -227,7 +178,7 @@ def run_ray(
             "'ray start --head'"
         ) from error
     # One task a process: memory does not grow.
-    task = ray.remote(num_cpus=1, max_calls=1, max_retries=_ATTEMPTS - 1)(
+    task = ray.remote(num_cpus=1, max_calls=1, max_retries=ATTEMPTS - 1)(
         _make_remotely
     )
     try:

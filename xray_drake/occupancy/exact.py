@@ -3,19 +3,18 @@
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.flat_target import FlatTarget
-from xray_drake.occupancy.floor_grid import Floor, observed_heights
+from xray_drake.occupancy.floor_grid import Floor
 from xray_drake.occupancy.hidden import HiddenSearch
-from xray_drake.occupancy.observation import check_observation
+from xray_drake.occupancy.pose_counting import PoseCounting
 from xray_drake.occupancy.seen import count_seen
 from xray_drake.scene.object_model import ObjectModel
 
 __all__ = ["ExactInference", "ExactInferenceConfig"]
 
 
-class ExactInference:
+class ExactInference(PoseCounting):
     """Finds where a flat target can be, from what the camera sees.
 
     Every translation on a lattice of about one pixel and every orientation is
@@ -67,9 +66,13 @@ class ExactInference:
                 f"need at least one rotation and a positive cell and step, not "
                 f"{rotations}, {config.cell} and {config.seen_step}"
             )
-        self.config = config
-        self._floor = Floor(*floor)
         self._target = FlatTarget(target.visual)
+        super().__init__(
+            config,
+            Floor(*floor),
+            lowest=self._target.thickness,
+            tallest=self._target.thickness,
+        )
         self._angles = self._target.distinct_angles(rotations)
         steps = 2 * np.pi * self._target.radius / config.seen_step
         self._seen_angles = self._target.distinct_angles(
@@ -89,63 +92,25 @@ class ExactInference:
         """The (k,) orientations of a target that is seen, rad."""
         return self._seen_angles
 
-    def infer(
-        self,
-        depth: np.ndarray,
-        target_mask: np.ndarray,
-        camera: PinholeCamera,
-    ) -> OccupancyDistribution:
-        """Infers where the target can be.
-
-        Args:
-            depth: (H, W) float32 z-depth of the scene, m; 0, inf and NaN are
-                no reading and hide nothing.
-            target_mask: (H, W) bool, the target's modal mask as detected;
-                blank where it is not seen.
-            camera: the camera of both.
-
-        Returns:
-            The distribution; all zero if the target cannot be anywhere.
-
-        Raises:
-            ValueError: an array of another shape, a depth image without any
-                reading, or a camera that is not above the target.
-        """
-        depth = np.asarray(depth, dtype=np.float32)
-        mask = np.asarray(target_mask, dtype=bool)
-        check_observation(depth, mask, camera)
-        if camera.X_WC[2, 3] <= self._target.thickness:
-            raise ValueError(
-                f"the camera must be above the target, not at z = "
-                f"{camera.X_WC[2, 3]:.3f} m"
-            )
-        config = self.config
-        heights = observed_heights(depth, camera, config.depth_tolerance)
-        mask = self._within_floor(mask, camera)
-        if mask.any():
-            total = count_seen(
-                self._target,
-                self._seen_angles,
-                heights < self._target.top,
-                mask,
-                camera,
-                self._floor.half_planes(config.floor_tolerance),
-                config,
-            )
-        else:
-            total = self._hidden.count(heights, camera)
-        low = min(config.floor_height, self._target.thickness / 2)
-        total[(heights < low) & (heights > -np.inf) & ~mask] = 0
-        largest = total.max()
-        if largest > 0:
-            total /= largest
-        return OccupancyDistribution(
-            data=total, support_threshold=0.0, method="exact"
+    def _count_seen(
+        self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> np.ndarray:
+        return count_seen(
+            self._target,
+            self._seen_angles,
+            heights < self._target.top,
+            mask,
+            camera,
+            self._floor.half_planes(self.config.floor_tolerance),
+            self.config,
         )
 
-    def _within_floor(
-        self, mask: np.ndarray, camera: PinholeCamera
+    def _count_hidden(
+        self, heights: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
+        return self._hidden.count(heights, camera)
+
+    def _possible(self, mask: np.ndarray, camera: PinholeCamera) -> np.ndarray:
         if not mask.any():
             return mask
         rows, columns = np.nonzero(mask)

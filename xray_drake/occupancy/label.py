@@ -8,6 +8,7 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
 from xray_drake.occupancy.label_config import LabelConfig
 from xray_drake.occupancy.label_kernels import (
+    Candidates,
     count_hidden,
     count_seen,
     find_runs,
@@ -121,12 +122,14 @@ def occupancy_label(
     box = _box(modal) if modal.any() else None
     first, last = _shifts(rasters, corner, pivot, camera, config.step, box)
     change = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
-    poses = rasters, runs, starts, first, last, corner, config.step
+    candidates = Candidates(
+        rasters, runs, starts, first, last, corner, config.step
+    )
     if box is None:
-        accepted = count_hidden(relative, *poses, change)
+        accepted = count_hidden(relative, candidates, change)
     else:
         accepted = count_seen(
-            relative, modal, *poses, config.accept_iou, change
+            relative, modal, candidates, config.accept_iou, change
         )
     total = np.cumsum(change[:, :-1], axis=1, dtype=np.int32)
     if true_pose and (box is not None or (computed != amodal).any()):

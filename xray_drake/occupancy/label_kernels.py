@@ -8,6 +8,8 @@ Numba keeps what it compiles beside this file, or in the user's cache where
 that is read-only, so that only the first process pays.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -169,29 +171,40 @@ def _any_nearer(depths: np.ndarray, others: np.ndarray) -> bool:
     return found > 0
 
 
-@njit(cache=True)
-def count_hidden(
-    relative: np.ndarray,
-    rasters: np.ndarray,
-    runs: np.ndarray,
-    starts: np.ndarray,
-    first: np.ndarray,
-    last: np.ndarray,
-    corner: np.ndarray,
-    step: int,
-    change: np.ndarray,
-) -> np.ndarray:
-    """Adds up the candidates of which nothing is seen.
+class Candidates(NamedTuple):
+    """The target in every orientation, and the shifts of each.
 
-    Args:
-        relative: (H, W) float32 as ``relative_depths`` returns it, m.
-        rasters: (k, side, side) float32 relative depths of the target, m.
+    Attributes:
+        rasters: (k, side, side) float32 relative depths of the target, m; NaN
+            beside it.
         runs: (n, 3) runs of the rasters.
         starts: (k + 1,) where those of each raster start.
         first: (k, 2) first shift in u and v, in steps, of each raster.
         last: (k, 2) last shift, included; all keep within the image.
         corner: (2,) u, v of the unshifted rasters' first pixel.
         step: pixels.
+    """
+
+    rasters: np.ndarray
+    runs: np.ndarray
+    starts: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    corner: np.ndarray
+    step: int
+
+
+@njit(cache=True)
+def count_hidden(
+    relative: np.ndarray,
+    candidates: Candidates,
+    change: np.ndarray,
+) -> np.ndarray:
+    """Adds up the candidates of which nothing is seen.
+
+    Args:
+        relative: (H, W) float32 as ``relative_depths`` returns it, m.
+        candidates: of the target.
         change: (H, W + 1) int32, changed in place: differences along the rows
             of the number of candidates that cover a pixel.
 
@@ -199,6 +212,7 @@ def count_hidden(
         (k,) number of candidates accepted. The unshifted one of the first
         raster is left out.
     """
+    rasters, runs, starts, first, last, corner, step = candidates
     height, width = relative.shape
     accepted = np.zeros(len(rasters), dtype=np.int64)
     lowest = np.float32(np.inf)
@@ -241,13 +255,7 @@ def count_hidden(
 def count_seen(
     relative: np.ndarray,
     observed: np.ndarray,
-    rasters: np.ndarray,
-    runs: np.ndarray,
-    starts: np.ndarray,
-    first: np.ndarray,
-    last: np.ndarray,
-    corner: np.ndarray,
-    step: int,
+    candidates: Candidates,
     accept_iou: float,
     change: np.ndarray,
 ) -> np.ndarray:
@@ -256,13 +264,7 @@ def count_seen(
     Args:
         relative: (H, W) float32 as ``relative_depths`` returns it, m.
         observed: (H, W) bool modal mask, not blank.
-        rasters: (k, side, side) float32 relative depths of the target, m.
-        runs: (n, 3) runs of the rasters.
-        starts: (k + 1,) where those of each raster start.
-        first: (k, 2) first shift in u and v, in steps, of each raster.
-        last: (k, 2) last shift, included; all keep within the image.
-        corner: (2,) u, v of the unshifted rasters' first pixel.
-        step: pixels.
+        candidates: of the target.
         accept_iou: what the IoU with ``observed`` must be greater than.
         change: (H, W + 1) int32, changed in place as in ``count_hidden``.
 
@@ -270,6 +272,7 @@ def count_seen(
         (k,) number of candidates accepted. The unshifted one of the first
         raster is left out.
     """
+    rasters, runs, starts, first, last, corner, step = candidates
     height, width = relative.shape
     accepted = np.zeros(len(rasters), dtype=np.int64)
     running = np.zeros((height, width + 1), dtype=np.int32)

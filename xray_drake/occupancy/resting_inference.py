@@ -12,14 +12,15 @@ import torch
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.resting import resting_poses
-from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.blocks import Blocks
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.floor_grid import Floor, observed_heights
-from xray_drake.occupancy.observation import check_observation
+from xray_drake.occupancy.floor_grid import Floor
+from xray_drake.occupancy.pose_counting import PoseCounting
 from xray_drake.occupancy.seen import AcceptanceRule, pose_range
-from xray_drake.occupancy.standing import StandingTarget, View
+from xray_drake.occupancy.standing import StandingTarget
 from xray_drake.occupancy.standing_kernels import (
+    Drawing,
+    View,
     add_accepted,
     count_common,
     count_hidden,
@@ -45,7 +46,7 @@ _EXACT_MOST = 20_000
 """Up to so many of them."""
 
 
-class RestingInference:
+class RestingInference(PoseCounting):
     """Finds where a target can be that rests on any of its faces.
 
     As :class:`xray_drake.occupancy.exact.ExactInference`, with three
@@ -84,17 +85,19 @@ class RestingInference:
                 f"need at least one rotation and a positive step, not "
                 f"{config.rotations} and {config.seen_step}"
             )
-        self.config = config
         x_low, x_high, y_low, y_high = config.floor
-        self._floor = Floor((x_low, x_high), (y_low, y_high))
         self.bodies = tuple(
             StandingTarget(target.visual, target.p_OCom, pose)
             for pose in resting_poses(
                 target.visual, target.p_OCom, least_share=config.least_share
             )
         )
-        self._tallest = max(body.height for body in self.bodies)
-        self._lowest = min(body.height for body in self.bodies)
+        super().__init__(
+            config,
+            Floor((x_low, x_high), (y_low, y_high)),
+            lowest=min(body.height for body in self.bodies),
+            tallest=max(body.height for body in self.bodies),
+        )
 
     def angles(self, body: StandingTarget) -> np.ndarray:
         """Returns the (k,) orientations of one that is hidden, rad."""
@@ -106,63 +109,17 @@ class RestingInference:
         steps = 2 * np.pi * body.radius / self.config.seen_step
         return body.angles(rotations, max(1, int(np.ceil(steps / rotations))))
 
-    def infer(
-        self,
-        depth: np.ndarray,
-        target_mask: np.ndarray,
-        camera: PinholeCamera,
-    ) -> OccupancyDistribution:
-        """Infers where the target can be.
-
-        Args:
-            depth: (H, W) float32 z-depth of the scene, m; 0, inf and NaN are
-                no reading and hide nothing.
-            target_mask: (H, W) bool, the target's modal mask as detected;
-                blank where it is not seen.
-            camera: the camera of both.
-
-        Returns:
-            The distribution; all zero if the target cannot be anywhere.
-
-        Raises:
-            ValueError: an array of another shape, a depth image without any
-                reading, or a camera that is not above the target.
-        """
-        depth = np.asarray(depth, dtype=np.float32)
-        mask = np.array(target_mask, dtype=bool)
-        check_observation(depth, mask, camera)
-        if camera.X_WC[2, 3] <= self._tallest:
-            raise ValueError(
-                f"the camera must be above the target, not at z = "
-                f"{camera.X_WC[2, 3]:.3f} m"
-            )
-        config = self.config
-        heights = observed_heights(depth, camera, config.depth_tolerance)
-        mask &= self._inside_bin(camera)
-        if mask.any():
-            total = self._seen(heights, mask, camera)
-        else:
-            total = self._hidden(heights, camera)
-        low = min(config.floor_height, self._lowest / 2)
-        total[(heights < low) & (heights > -np.inf) & ~mask] = 0
-        largest = total.max()
-        if largest > 0:
-            total /= largest
-        return OccupancyDistribution(
-            data=total, support_threshold=0.0, method="exact"
-        )
-
-    def _inside_bin(self, camera: PinholeCamera) -> np.ndarray:
-        """Returns the (H, W) pixels that can show a target in the bin."""
+    def _possible(self, mask: np.ndarray, camera: PinholeCamera) -> np.ndarray:
         planes = self._floor.half_planes(self.config.floor_tolerance)
         result = np.zeros(camera.shape, dtype=bool)
         for height in (0.0, self._tallest):
             xy = camera.unproject(camera.plane_depth(height))[..., :2]
             result |= (xy @ planes[:, :2].T <= planes[:, 2]).all(axis=-1)
-        return result
+        return result & mask
 
-    def _hidden(self, heights: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-        """Counts the poses of a target that is not seen, (H, W) float32."""
+    def _count_hidden(
+        self, heights: np.ndarray, camera: PinholeCamera
+    ) -> np.ndarray:
         config, view = self.config, View.of(camera)
         observed = with_neighbours(heights)
         change = np.zeros((camera.height, camera.width + 1))
@@ -175,7 +132,7 @@ class RestingInference:
             angles = self.angles(body)
             weights = blocks.weights(body, camera) / len(angles)
             for angle in angles:
-                turned = body.turned(angle)
+                drawing = body.drawing(angle, view, reach)
                 count_hidden(
                     observed,
                     blocks.corners,
@@ -183,20 +140,17 @@ class RestingInference:
                     HIDDEN_STEP,
                     weights,
                     config.blank_tolerance,
-                    turned,
-                    body.faces,
-                    reach,
-                    body.middle,
-                    *view.parts(),
-                    body.room(turned, self._floor, config.floor_tolerance),
+                    drawing,
+                    body.room(
+                        drawing.vertices, self._floor, config.floor_tolerance
+                    ),
                     change,
                 )
         return _summed(change)
 
-    def _seen(
+    def _count_seen(
         self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        """Counts the poses of a target that is seen, (H, W) float32."""
         view = View.of(camera)
         # Where the target is observed, it shows.
         shows = with_neighbours(np.where(mask, np.float32(-np.inf), heights))
@@ -226,7 +180,7 @@ class RestingInference:
                 tried.blocks.corners,
                 tried.blocks.side,
                 1,
-                *tried.drawn(view),
+                tried.drawing(view),
                 change,
             )
         return _summed(change)
@@ -326,7 +280,7 @@ class RestingInference:
                 tried.blocks.corners,
                 tried.blocks.side,
                 step,
-                *tried.drawn(view),
+                tried.drawing(view),
                 tried.room(self._floor, config.floor_tolerance),
             )
             for tried in tries
@@ -362,7 +316,7 @@ class RestingInference:
                 step,
                 limits,
                 best,
-                *tries[k].drawn(view),
+                tries[k].drawing(view),
             )
             for k in order
         ]
@@ -437,26 +391,9 @@ class _Tried:
         """Returns (4,) bounds of its axis; see ``StandingTarget.room``."""
         return self.body.room(self.body.turned(self.angle), floor, slack)
 
-    def drawn(
-        self, view: View
-    ) -> tuple[
-        np.ndarray,
-        np.ndarray,
-        int,
-        float,
-        np.ndarray,
-        np.ndarray,
-        np.ndarray,
-        np.ndarray,
-    ]:
-        """Returns what the loops take to draw it, in their order."""
-        return (
-            self.body.turned(self.angle),
-            self.body.faces,
-            self.reach,
-            self.body.middle,
-            *view.parts(),
-        )
+    def drawing(self, view: View) -> Drawing:
+        """Returns what the loops draw it by."""
+        return self.body.drawing(self.angle, view, self.reach)
 
 
 def _joined(counts: list[np.ndarray], chosen: list[np.ndarray]) -> torch.Tensor:

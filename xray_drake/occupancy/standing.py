@@ -1,7 +1,5 @@
 """A target that stands on the floor in one of its resting poses."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import trimesh
 
@@ -12,47 +10,12 @@ from xray_drake.geometry.resting import (
     turns_into_itself,
 )
 from xray_drake.occupancy.floor_grid import Floor
-from xray_drake.occupancy.standing_kernels import draw_body
+from xray_drake.occupancy.standing_kernels import Drawing, View, draw_body
 
 _DRIFT = 0.35
 """Pixels by which a silhouette may be off within a block of candidates."""
 
 _LARGEST_BLOCK = 16
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A camera as the compiled loops take it.
-
-    Attributes:
-        ray: 3×3, from pixels (u, v, 1) to world rays of unit z-depth.
-        center: (3,) of the camera in the world, m.
-        intrinsics: 3×3 camera matrix.
-        rotation: 3×3 orientation of the camera in the world.
-    """
-
-    ray: np.ndarray
-    center: np.ndarray
-    intrinsics: np.ndarray
-    rotation: np.ndarray
-
-    @staticmethod
-    def of(camera: PinholeCamera) -> "View":
-        """Returns the view of a camera."""
-        return View(
-            np.ascontiguousarray(camera.pixel_to_ray),
-            np.array(camera.X_WC[:3, 3]),
-            # Copies: to numba, an array that may not be written is another
-            # type.
-            np.array(camera.intrinsics),
-            np.array(camera.X_WC[:3, :3]),
-        )
-
-    def parts(
-        self,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Returns what the loops take, in their order."""
-        return self.ray, self.center, self.intrinsics, self.rotation
 
 
 class StandingTarget:
@@ -158,6 +121,16 @@ class StandingTarget:
             ]
         )
 
+    def drawing(self, angle: float, view: View, reach: int) -> Drawing:
+        """Returns what the loops draw it by.
+
+        Args:
+            angle: about the axis, rad.
+            view: the camera.
+            reach: half width of the drawing, pixels.
+        """
+        return Drawing(self.turned(angle), self.faces, reach, self.middle, view)
+
     def draw(
         self, angle: float, pixel: np.ndarray, view: View, reach: int
     ) -> np.ndarray:
@@ -175,11 +148,8 @@ class StandingTarget:
         """
         canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
         draw_body(
-            self.turned(angle),
-            self.faces,
+            self.drawing(angle, view, reach),
             np.asarray(pixel, dtype=float),
-            self.middle,
-            *view.parts(),
             canvas,
         )
         return canvas

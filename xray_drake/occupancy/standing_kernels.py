@@ -6,10 +6,13 @@ pixels. Numba keeps what it compiles beside this file, or in the user's cache
 where that is read-only, so that only the first process pays.
 """
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numba import njit
 
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.height_map import draw_nearest
 
 _OUT = -1
@@ -23,13 +26,102 @@ _STRIDE = 11
 """Tiles are compared so far apart that what is plainly seen ends it early."""
 
 
+class View(NamedTuple):
+    """A camera as the compiled loops take it.
+
+    Attributes:
+        ray: 3×3, from pixels (u, v, 1) to world rays of unit z-depth.
+        center: (3,) of the camera in the world, m.
+        intrinsics: 3×3 camera matrix.
+        rotation: 3×3 orientation of the camera in the world.
+    """
+
+    ray: np.ndarray
+    center: np.ndarray
+    intrinsics: np.ndarray
+    rotation: np.ndarray
+
+    @staticmethod
+    def of(camera: PinholeCamera) -> "View":
+        """Returns the view of a camera."""
+        return View(
+            np.ascontiguousarray(camera.pixel_to_ray),
+            np.array(camera.X_WC[:3, 3]),
+            # Copies: to numba, an array that may not be written is another
+            # type.
+            np.array(camera.intrinsics),
+            np.array(camera.X_WC[:3, :3]),
+        )
+
+
+class Drawing(NamedTuple):
+    """What a body is drawn by, wherever it is in the image.
+
+    Attributes:
+        vertices: (n, 3), turned; x and y from the axis, z from the floor, m.
+        faces: (m, 3) indices of outward-facing triangles.
+        reach: half width of what it is drawn on, pixels.
+        middle: height at which the axis is seen at a pixel's centre, m.
+        camera: as the loops take it.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    reach: int
+    middle: float
+    camera: View
+
+
+class Tiles(NamedTuple):
+    """A silhouette's cells, tile by tile; there is room for more of each.
+
+    Attributes:
+        corners: (many, 2) first row and column of a tile, from the middle.
+        cells: (many, 2) index of its first cell, number of its cells.
+        bounds: (many, 2) least and greatest height of them, m.
+        places: (many, 2) row and column of a cell, from the middle.
+        heights: (many,) of it, m.
+    """
+
+    corners: np.ndarray
+    cells: np.ndarray
+    bounds: np.ndarray
+    places: np.ndarray
+    heights: np.ndarray
+
+
 @njit(cache=True)
-def _origin(
-    u: float, v: float, height: float, ray: np.ndarray, center: np.ndarray
-) -> tuple[float, float]:
-    """Returns x and y, on the plane z = ``height``, of what a pixel shows."""
+def _canvas(drawing: Drawing) -> np.ndarray:
+    """Returns what ``draw_body`` overwrites."""
+    width = 2 * drawing.reach + 1
+    return np.empty((width, width), dtype=np.float32)
+
+
+@njit(cache=True)
+def _room_for_runs(canvas: np.ndarray) -> np.ndarray:
+    """Returns what ``_runs`` overwrites."""
+    width = canvas.shape[0]
+    return np.empty(((width // 2 + 1) * width, 3), dtype=np.int64)
+
+
+@njit(cache=True)
+def _room_for_tiles(canvas: np.ndarray) -> Tiles:
+    """Returns what ``_tiles`` overwrites."""
+    return Tiles(
+        np.empty((canvas.size, 2), dtype=np.int64),
+        np.empty((canvas.size, 2), dtype=np.int64),
+        np.empty((canvas.size, 2), dtype=np.float32),
+        np.empty((canvas.size, 2), dtype=np.int64),
+        np.empty(canvas.size, dtype=np.float32),
+    )
+
+
+@njit(cache=True)
+def _origin(u: float, v: float, drawing: Drawing) -> tuple[float, float]:
+    """Returns x and y of the axis that is seen at a pixel."""
+    ray, center = drawing.camera.ray, drawing.camera.center
     slope = ray[2, 0] * u + ray[2, 1] * v + ray[2, 2]
-    depth = (height - center[2]) / slope
+    depth = (drawing.middle - center[2]) / slope
     x = center[0] + depth * (ray[0, 0] * u + ray[0, 1] * v + ray[0, 2])
     y = center[1] + depth * (ray[1, 0] * u + ray[1, 1] * v + ray[1, 2])
     return x, y
@@ -37,35 +129,22 @@ def _origin(
 
 @njit(cache=True)
 def draw_body(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    pixel: np.ndarray,
-    middle: float,
-    ray: np.ndarray,
-    center: np.ndarray,
-    intrinsics: np.ndarray,
-    rotation: np.ndarray,
-    canvas: np.ndarray,
+    drawing: Drawing, pixel: np.ndarray, canvas: np.ndarray
 ) -> np.ndarray:
     """Draws a body as the camera sees it where its axis is at a pixel.
 
     Args:
-        vertices: (n, 3), turned; x and y from the axis, z from the floor, m.
-        faces: (m, 3) indices of outward-facing triangles.
-        pixel: (2,) u, v of the axis at height ``middle``.
-        middle: m.
-        ray: 3×3, from pixels (u, v, 1) to world rays of unit z-depth.
-        center: (3,) the camera's, in the world, m.
-        intrinsics: 3×3 camera matrix.
-        rotation: 3×3 orientation of the camera in the world.
+        drawing: of the body.
+        pixel: (2,) u, v of the axis.
         canvas: (2·reach + 1)² float32; overwritten with the height of what is
             seen of the body, m, or −1 beside it. ``pixel`` is in its middle.
 
     Returns:
         (4,) least u, greatest u, least v, greatest v, from ``pixel``.
     """
-    reach = canvas.shape[0] // 2
-    x, y = _origin(pixel[0], pixel[1], middle, ray, center)
+    vertices, reach = drawing.vertices, drawing.reach
+    ray, center, intrinsics, rotation = drawing.camera
+    x, y = _origin(pixel[0], pixel[1], drawing)
     count = len(vertices)
     points = np.empty((count, 2))
     nearness = np.empty(count)
@@ -84,7 +163,7 @@ def draw_body(
         points[i, 0], points[i, 1] = u + reach, v + reach
         nearness[i] = 1.0 / cz
     canvas[:] = -1.0
-    draw_nearest(points, nearness, faces, canvas)
+    draw_nearest(points, nearness, drawing.faces, canvas)
     rows, columns = _spans(box, reach)
     for row in range(rows[0], rows[1]):
         for column in range(columns[0], columns[1]):
@@ -95,6 +174,17 @@ def draw_body(
                 height = center[2] + slope / canvas[row, column]
                 canvas[row, column] = max(height, 0.0)
     return box
+
+
+@njit(cache=True)
+def _draw_in_block(
+    drawing: Drawing, corner: np.ndarray, side: int, canvas: np.ndarray
+) -> np.ndarray:
+    """Draws a body for the middle of a block; see ``draw_body``."""
+    pixel = np.empty(2)
+    pixel[0] = corner[1] + side // 2
+    pixel[1] = corner[0] + side // 2
+    return draw_body(drawing, pixel, canvas)
 
 
 @njit(cache=True)
@@ -148,23 +238,14 @@ def _runs(canvas: np.ndarray, box: np.ndarray, runs: np.ndarray) -> int:
 
 @njit(cache=True)
 def _tiles(
-    canvas: np.ndarray,
-    box: np.ndarray,
-    tiles: np.ndarray,
-    bounds: np.ndarray,
-    places: np.ndarray,
-    heights: np.ndarray,
+    canvas: np.ndarray, box: np.ndarray, tiles: Tiles
 ) -> tuple[int, int]:
     """Sorts a silhouette's cells into tiles.
 
     Args:
         canvas: as from ``draw_body``.
         box: as from ``draw_body``.
-        tiles: (many, 4) overwritten: first row and column from the middle,
-            index of the first cell, number of cells.
-        bounds: (many, 2) overwritten: least and greatest height, m.
-        places: (many, 2) overwritten: row and column of each cell.
-        heights: (many,) overwritten: its height, m.
+        tiles: as from ``_room_for_tiles``; overwritten.
 
     Returns:
         The number of tiles and of cells.
@@ -184,15 +265,18 @@ def _tiles(
                 for column in range(left, min(left + TILE, columns[1])):
                     value = canvas[row, column]
                     if value >= 0.0:
-                        places[area, 0] = row - reach
-                        places[area, 1] = column - reach
-                        heights[area] = value
+                        tiles.places[area, 0] = row - reach
+                        tiles.places[area, 1] = column - reach
+                        tiles.heights[area] = value
                         area += 1
                         low, high = min(low, value), max(high, value)
             if area > start:
-                tiles[number, 0], tiles[number, 1] = top - reach, left - reach
-                tiles[number, 2], tiles[number, 3] = start, area - start
-                bounds[number, 0], bounds[number, 1] = low, high
+                tiles.corners[number, 0] = top - reach
+                tiles.corners[number, 1] = left - reach
+                tiles.cells[number, 0] = start
+                tiles.cells[number, 1] = area - start
+                tiles.bounds[number, 0] = low
+                tiles.bounds[number, 1] = high
                 number += 1
     return number, area
 
@@ -216,10 +300,7 @@ def _shows(
     v: int,
     u: int,
     number: int,
-    tiles: np.ndarray,
-    bounds: np.ndarray,
-    places: np.ndarray,
-    heights: np.ndarray,
+    tiles: Tiles,
     observed: np.ndarray,
     most: int,
 ) -> int:
@@ -228,11 +309,8 @@ def _shows(
     Args:
         v: row of its axis.
         u: column of it.
-        number: of tiles; they are as from ``_tiles``.
-        tiles: see there.
-        bounds: see there.
-        places: see there.
-        heights: see there.
+        number: of tiles.
+        tiles: as from ``_tiles``.
         observed: (3, H + 2·TILE, W + 2·TILE): heights of the observed surface
             with TILE more pixels on each side, m; the least and the greatest
             of the TILE² pixels right of and below each.
@@ -240,15 +318,18 @@ def _shows(
     """
     seen = 0
     for t in range(number):
-        row, column = v + tiles[t, 0] + TILE, u + tiles[t, 1] + TILE
-        if observed[1, row, column] >= bounds[t, 1]:
+        row = v + tiles.corners[t, 0] + TILE
+        column = u + tiles.corners[t, 1] + TILE
+        if observed[1, row, column] >= tiles.bounds[t, 1]:
             continue
-        if observed[2, row, column] < bounds[t, 0]:
-            seen += tiles[t, 3]
+        first, count = tiles.cells[t]
+        if observed[2, row, column] < tiles.bounds[t, 0]:
+            seen += count
         else:
-            for i in range(tiles[t, 2], tiles[t, 2] + tiles[t, 3]):
-                row, column = v + places[i, 0] + TILE, u + places[i, 1] + TILE
-                if observed[0, row, column] < heights[i]:
+            for i in range(first, first + count):
+                row = v + tiles.places[i, 0] + TILE
+                column = u + tiles.places[i, 1] + TILE
+                if observed[0, row, column] < tiles.heights[i]:
                     seen += 1
         if seen > most:
             break
@@ -261,9 +342,7 @@ def _keeps(
     v: int,
     box: np.ndarray,
     shape: tuple[int, int],
-    middle: float,
-    ray: np.ndarray,
-    center: np.ndarray,
+    drawing: Drawing,
     room: np.ndarray,
 ) -> bool:
     """Says whether a candidate keeps within image and bin.
@@ -273,16 +352,14 @@ def _keeps(
         v: row of it.
         box: what ``draw_body`` returned.
         shape: height and width of the image.
-        middle: height at which the axis is seen, m.
-        ray: as in ``draw_body``.
-        center: as in ``draw_body``.
+        drawing: of the body.
         room: (4,) x low, x high, y low, y high of the axis, m.
     """
     if u + box[0] < -0.5 or u + box[1] > shape[1] - 0.5:
         return False
     if v + box[2] < -0.5 or v + box[3] > shape[0] - 0.5:
         return False
-    x, y = _origin(u, v, middle, ray, center)
+    x, y = _origin(u, v, drawing)
     return room[0] <= x <= room[1] and room[2] <= y <= room[3]
 
 
@@ -294,14 +371,7 @@ def count_hidden(
     step: int,
     weights: np.ndarray,
     allowed: float,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    reach: int,
-    middle: float,
-    ray: np.ndarray,
-    center: np.ndarray,
-    intrinsics: np.ndarray,
-    rotation: np.ndarray,
+    drawing: Drawing,
     room: np.ndarray,
     change: np.ndarray,
 ) -> int:
@@ -314,14 +384,7 @@ def count_hidden(
         step: between candidates, pixels.
         weights: (b,) what a candidate counts.
         allowed: share of its silhouette that it may show.
-        vertices: as in ``draw_body``.
-        faces: as in ``draw_body``.
-        reach: half width of what a body is drawn on, pixels.
-        middle: as in ``draw_body``.
-        ray: as in ``draw_body``.
-        center: as in ``draw_body``.
-        intrinsics: as in ``draw_body``.
-        rotation: as in ``draw_body``.
+        drawing: of the body.
         room: as in ``_keeps``.
         change: (H, W + 1) raised in place: along a row, the differences of
             the sum of the accepted silhouettes.
@@ -330,48 +393,22 @@ def count_hidden(
         The number of accepted candidates.
     """
     shape = change.shape[0], change.shape[1] - 1
-    canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
-    runs = np.empty(((reach + 1) * (2 * reach + 1), 3), dtype=np.int64)
-    tiles = np.empty((canvas.size, 4), dtype=np.int64)
-    bounds = np.empty((canvas.size, 2), dtype=np.float32)
-    places = np.empty((canvas.size, 2), dtype=np.int64)
-    heights = np.empty(canvas.size, dtype=np.float32)
-    pixel = np.empty(2)
+    canvas = _canvas(drawing)
+    runs = _room_for_runs(canvas)
+    tiles = _room_for_tiles(canvas)
     accepted = 0
     for b in range(len(blocks)):
-        pixel[0] = blocks[b, 1] + side // 2
-        pixel[1] = blocks[b, 0] + side // 2
-        box = draw_body(
-            vertices,
-            faces,
-            pixel,
-            middle,
-            ray,
-            center,
-            intrinsics,
-            rotation,
-            canvas,
-        )
-        number, area = _tiles(canvas, box, tiles, bounds, places, heights)
+        box = _draw_in_block(drawing, blocks[b], side, canvas)
+        number, area = _tiles(canvas, box, tiles)
         if area == 0:
             continue
         lines = -1
         most = int(allowed * area)
         for v in range(blocks[b, 0], blocks[b, 0] + side, step):
             for u in range(blocks[b, 1], blocks[b, 1] + side, step):
-                if not _keeps(u, v, box, shape, middle, ray, center, room):
+                if not _keeps(u, v, box, shape, drawing, room):
                     continue
-                seen = _shows(
-                    v,
-                    u,
-                    number,
-                    tiles,
-                    bounds,
-                    places,
-                    heights,
-                    observed,
-                    most,
-                )
+                seen = _shows(v, u, number, tiles, observed, most)
                 if seen > most:
                     continue
                 if lines < 0:
@@ -404,14 +441,7 @@ def count_common(
     blocks: np.ndarray,
     side: int,
     step: int,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    reach: int,
-    middle: float,
-    ray: np.ndarray,
-    center: np.ndarray,
-    intrinsics: np.ndarray,
-    rotation: np.ndarray,
+    drawing: Drawing,
     room: np.ndarray,
 ) -> np.ndarray:
     """Counts the pixels that candidates share with the observed mask.
@@ -421,14 +451,7 @@ def count_common(
         blocks: as in ``count_hidden``.
         side: of a block, pixels.
         step: between candidates, pixels.
-        vertices: as in ``draw_body``.
-        faces: as in ``draw_body``.
-        reach: half width of what a body is drawn on, pixels.
-        middle: as in ``draw_body``.
-        ray: as in ``draw_body``.
-        center: as in ``draw_body``.
-        intrinsics: as in ``draw_body``.
-        rotation: as in ``draw_body``.
+        drawing: of the body.
         room: as in ``_keeps``.
 
     Returns:
@@ -436,31 +459,18 @@ def count_common(
         those that do not keep in place.
     """
     shape = running.shape[0], running.shape[1] - 1
-    canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
-    runs = np.empty(((reach + 1) * (2 * reach + 1), 3), dtype=np.int64)
-    pixel = np.empty(2)
+    canvas = _canvas(drawing)
+    runs = _room_for_runs(canvas)
     along = (side + step - 1) // step
     common = np.full((len(blocks), along, along), _OUT, dtype=np.int32)
     for b in range(len(blocks)):
-        pixel[0] = blocks[b, 1] + side // 2
-        pixel[1] = blocks[b, 0] + side // 2
-        box = draw_body(
-            vertices,
-            faces,
-            pixel,
-            middle,
-            ray,
-            center,
-            intrinsics,
-            rotation,
-            canvas,
-        )
+        box = _draw_in_block(drawing, blocks[b], side, canvas)
         number = _runs(canvas, box, runs)
         for i in range(along):
             v = blocks[b, 0] + i * step
             for k in range(along):
                 u = blocks[b, 1] + k * step
-                if not _keeps(u, v, box, shape, middle, ray, center, room):
+                if not _keeps(u, v, box, shape, drawing, room):
                     continue
                 total = 0
                 for j in range(number):
@@ -483,14 +493,7 @@ def count_shown(
     step: int,
     limits: np.ndarray,
     best: np.ndarray,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    reach: int,
-    middle: float,
-    ray: np.ndarray,
-    center: np.ndarray,
-    intrinsics: np.ndarray,
-    rotation: np.ndarray,
+    drawing: Drawing,
 ) -> np.ndarray:
     """Counts the pixels that candidates would show.
 
@@ -513,44 +516,21 @@ def count_shown(
             alone decides, else 0.
         best: (2,) best IoU and fewest pixels shown beyond the mask so far;
             changed in place.
-        vertices: as in ``draw_body``.
-        faces: as in ``draw_body``.
-        reach: half width of what a body is drawn on, pixels.
-        middle: as in ``draw_body``.
-        ray: as in ``draw_body``.
-        center: as in ``draw_body``.
-        intrinsics: as in ``draw_body``.
-        rotation: as in ``draw_body``.
+        drawing: of the body.
 
     Returns:
         (b, n, n) int32, −1 for those left out.
     """
-    canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
-    tiles = np.empty((canvas.size, 4), dtype=np.int64)
-    bounds = np.empty((canvas.size, 2), dtype=np.float32)
-    places = np.empty((canvas.size, 2), dtype=np.int64)
-    heights = np.empty(canvas.size, dtype=np.float32)
-    pixel = np.empty(2)
+    canvas = _canvas(drawing)
+    tiles = _room_for_tiles(canvas)
     shown = np.full(common.shape, _OUT, dtype=np.int32)
     size, share, trusted, spread = limits[0], limits[1], limits[2], limits[3]
     by_coverage = limits[4] > 0.0
     for b in range(len(blocks)):
         if common[b].max() < least:
             continue
-        pixel[0] = blocks[b, 1] + side // 2
-        pixel[1] = blocks[b, 0] + side // 2
-        box = draw_body(
-            vertices,
-            faces,
-            pixel,
-            middle,
-            ray,
-            center,
-            intrinsics,
-            rotation,
-            canvas,
-        )
-        number, area = _tiles(canvas, box, tiles, bounds, places, heights)
+        box = _draw_in_block(drawing, blocks[b], side, canvas)
+        number, area = _tiles(canvas, box, tiles)
         for i in range(common.shape[1]):
             v = blocks[b, 0] + i * step
             for k in range(common.shape[2]):
@@ -566,17 +546,7 @@ def count_shown(
                     # together / (seen + size − together) ≥ share · best
                     bound = together / (share * best[0]) - size + together
                     most = min(most, int(bound) + 1)
-                seen = _shows(
-                    v,
-                    u,
-                    number,
-                    tiles,
-                    bounds,
-                    places,
-                    heights,
-                    observed,
-                    most,
-                )
+                seen = _shows(v, u, number, tiles, observed, most)
                 shown[b, i, k] = area if seen > most else seen
                 if seen <= most:
                     iou = together / (seen + size - together)
@@ -592,14 +562,7 @@ def add_accepted(
     blocks: np.ndarray,
     side: int,
     step: int,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    reach: int,
-    middle: float,
-    ray: np.ndarray,
-    center: np.ndarray,
-    intrinsics: np.ndarray,
-    rotation: np.ndarray,
+    drawing: Drawing,
     change: np.ndarray,
 ) -> None:
     """Adds the silhouettes of accepted candidates.
@@ -610,35 +573,15 @@ def add_accepted(
         blocks: as in ``count_hidden``.
         side: of a block, pixels.
         step: between candidates, pixels.
-        vertices: as in ``draw_body``.
-        faces: as in ``draw_body``.
-        reach: half width of what a body is drawn on, pixels.
-        middle: as in ``draw_body``.
-        ray: as in ``draw_body``.
-        center: as in ``draw_body``.
-        intrinsics: as in ``draw_body``.
-        rotation: as in ``draw_body``.
+        drawing: of the body.
         change: as in ``count_hidden``.
     """
-    canvas = np.empty((2 * reach + 1, 2 * reach + 1), dtype=np.float32)
-    runs = np.empty(((reach + 1) * (2 * reach + 1), 3), dtype=np.int64)
-    pixel = np.empty(2)
+    canvas = _canvas(drawing)
+    runs = _room_for_runs(canvas)
     for b in range(len(blocks)):
         if not accepted[b].any():
             continue
-        pixel[0] = blocks[b, 1] + side // 2
-        pixel[1] = blocks[b, 0] + side // 2
-        box = draw_body(
-            vertices,
-            faces,
-            pixel,
-            middle,
-            ray,
-            center,
-            intrinsics,
-            rotation,
-            canvas,
-        )
+        box = _draw_in_block(drawing, blocks[b], side, canvas)
         number = _runs(canvas, box, runs)
         for i in range(accepted.shape[1]):
             for k in range(accepted.shape[2]):

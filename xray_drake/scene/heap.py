@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.stats import truncnorm
 
+from xray_drake.choices import TALL_TARGETS
 from xray_drake.geometry.resting import RestingPose, lean, resting_poses
 from xray_drake.geometry.tilt import tilt
 from xray_drake.scene.contact import ContactConfig, angular_damping
@@ -27,7 +28,6 @@ from xray_drake.scene.plant import (
 )
 from xray_drake.scene.rest import box_corners
 from xray_drake.scene.sleep_monitor import SleepMonitor
-from xray_drake.scene.targets import TALL_TARGETS
 from xray_drake.seeding import stream
 
 _logger = logging.getLogger(__name__)

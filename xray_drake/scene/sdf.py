@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import trimesh
 
+from xray_drake.choices import TARGET_NAMES
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
     ContactConfig,
@@ -18,7 +19,7 @@ from xray_drake.scene.contact import (
 )
 from xray_drake.scene.object_model import ObjectModel, shaded
 from xray_drake.scene.shapes import box_of
-from xray_drake.scene.targets import TARGET_NAMES, target_model
+from xray_drake.scene.targets import target_model
 
 DRAKE_NAMESPACE = "http://drake.mit.edu"
 

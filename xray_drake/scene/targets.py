@@ -11,17 +11,10 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
+from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.geometry.resting import resting_poses, standing
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.shapes import Solid, arc, box, cylinder, prism
-
-BOX_TARGETS = tuple(f"box_{ratio}to1" for ratio in range(1, 11))
-"""The boxes of aspect ratio 1 to 10, 9 cm² each (paper section IV.A)."""
-
-TARGET_NAMES = (*BOX_TARGETS, "lid", "domino", "flute")
-
-TALL_TARGETS = ("cube", "mug")
-"""▲ Targets that are not flat: a heap is dropped on them lying on any face."""
 
 TARGET_COLOR = (0.8, 0.05, 0.05, 1.0)
 TARGET_DENSITY = 600.0

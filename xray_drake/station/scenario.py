@@ -18,6 +18,16 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 from pydrake.visualization import VisualizationConfig
 
+from xray_drake.choices import (
+    DETECTORS,
+    EXECUTIONS,
+    GRASPS,
+    OCCUPANCIES,
+    POLICIES,
+    SEGMENTERS,
+    TALL_TARGETS,
+    TARGET_NAMES,
+)
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
@@ -41,25 +51,7 @@ from xray_drake.scene.cameras import (
 from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import ARRANGEMENTS, HeapConfig
 from xray_drake.scene.plant import default_plant_config
-from xray_drake.scene.targets import TALL_TARGETS, TARGET_NAMES
 from xray_drake.splits import SPLITS
-
-DETECTORS = ("ground_truth", "hsv")
-SEGMENTERS = ("ground_truth", "depth")
-OCCUPANCIES = ("learned", "posterior", "exact")
-POLICIES = (
-    "xray",
-    "largest",
-    "random",
-    "oracle",
-    "memory",
-    "lookahead",
-    "grasp_aware",
-    "combined",
-)
-GRASPS = ("models", "depth")
-EXECUTIONS = ("quasi_static", "contact")
-
 
 MOST_OBJECTS = 100
 """Distractors that a scenario may ask for."""
@@ -85,7 +77,7 @@ class SceneConfig:
     """What lies in the bin."""
 
     # Name of the target: one of TARGET_NAMES or TALL_TARGETS in
-    # xray_drake.scene.targets.
+    # xray_drake.choices.
     target: str = "box_2to1"
     # How many distractors are dropped on it.
     num_objects: int = 14

@@ -10,9 +10,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+from xray_drake.choices import BOX_TARGETS
 from xray_drake.occupancy.networks.weights import INPUTS
 from xray_drake.resources import models_dir
-from xray_drake.scene.targets import BOX_TARGETS
 from xray_drake.training.prepare import PrepareConfig
 
 _OPTIMIZERS = ("adamw", "sgd")

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from xray_drake.choices import TARGET_NAMES
 from xray_drake.dataset.check import FULLY_VISIBLE
 from xray_drake.dataset.sample import Sample, SampleKey
 from xray_drake.messages import OccupancyDistribution
@@ -33,7 +34,6 @@ from xray_drake.occupancy.metrics import (
     pixel_counts,
     share_in_support,
 )
-from xray_drake.scene.targets import TARGET_NAMES
 from xray_drake.seeding import stream
 
 Predictor = Callable[[Sample], np.ndarray | OccupancyDistribution]

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from xray_drake.choices import TALL_TARGETS
 from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.exact_model import exact_model
-from xray_drake.scene.targets import TALL_TARGETS, target_model
+from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
 
 if TYPE_CHECKING:

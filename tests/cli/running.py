@@ -1,0 +1,16 @@
+"""Runs the command line within the test's process."""
+
+from typer.testing import CliRunner
+
+from xray_drake.cli.main import app
+
+
+def answer(*arguments: object) -> tuple[int, str, str]:
+    """Returns exit status, standard output and standard error.
+
+    A bug of the program is raised, as it would be shown.
+    """
+    result = CliRunner().invoke(app, list(map(str, arguments)))
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
