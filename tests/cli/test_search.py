@@ -12,6 +12,7 @@ import pytest
 from tests.cli.running import answer
 from tests.disk import full_disk
 from xray_drake.cli.configure import configure
+from xray_drake.cli.options import overrides
 
 TOP_KEYS = {
     "success",
@@ -166,7 +167,8 @@ def test_a_recording_is_not_live(tmp_path: Path) -> None:
 def test_options_replace_single_fields(small: Path) -> None:
     plain = configure(str(small), {})
     changed = configure(
-        str(small), {"scene.target": "lid", "horizon": 9, "seed": None}
+        str(small),
+        overrides(target="lid", horizon=9, seed=None, policy=None),
     )
     assert (plain.scene.target, plain.horizon) == ("box_2to1", 2)
     assert (changed.scene.target, changed.horizon) == ("lid", 9)

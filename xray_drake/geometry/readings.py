@@ -32,6 +32,6 @@ def nearest_values(
         cv2.DIST_MASK_5,
         labelType=cv2.DIST_LABEL_PIXEL,
     )
-    value_of = np.zeros(label.max() + 1, values.dtype)
+    value_of = np.zeros(int(label.max()) + 1, values.dtype)
     value_of[label[known]] = values[known]
     return value_of[label], away

@@ -201,7 +201,7 @@ def _fill_to_nearest(labels: np.ndarray) -> np.ndarray:
         5,
         labelType=cv2.DIST_LABEL_PIXEL,
     )
-    lookup = np.zeros(nearest.max() + 1, dtype=np.int16)
+    lookup = np.zeros(int(nearest.max()) + 1, dtype=np.int16)
     known = labels >= 0
     lookup[nearest[known]] = labels[known]
     return lookup[nearest]

@@ -422,9 +422,10 @@ def check_scenario(
     if searched:
         _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)
-    _check_plant(scenario.plant_config, source)
     if scenario.gripper.execution == "contact":
+        # First: Drake's own message does not say what to choose.
         _check_contact(scenario, source)
+    _check_plant(scenario.plant_config, source)
     if scenario.seed < 0:
         raise ScenarioError(
             f"{source}: seed is {scenario.seed}: it must not be negative"
