@@ -14,6 +14,7 @@ from xray_drake.drawing.layers import (
     surface_depth,
 )
 from xray_drake.drawing.primitives import Lines, Points
+from xray_drake.drawing.text import text_mesh
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Grasp, GraspKind
 
@@ -198,6 +199,32 @@ def draw_lines(meshcat: Meshcat, path: str, lines: Lines) -> None:
     meshcat.SetLineSegments(
         path, lines.ends[:, 0].T, lines.ends[:, 1].T, 2.0, Rgba(*lines.color)
     )
+
+
+def draw_text(
+    meshcat: Meshcat,
+    path: str,
+    lines: tuple[str, ...],
+    X_WT: RigidTransform,
+    *,
+    height: float,
+    color: tuple[float, float, float],
+) -> None:
+    """Draws lines of text; what was at the path is replaced.
+
+    Args:
+        meshcat: where.
+        path: of the text.
+        lines: one below the other.
+        X_WT: pose of the text's lower left corner, x along the lines, y up.
+        height: of a line, m.
+        color: RGB in [0, 1].
+    """
+    meshcat.Delete(path)
+    vertices, faces = text_mesh(lines, height)
+    if faces.shape[1]:
+        meshcat.SetTriangleMesh(path, vertices, faces, Rgba(*color))
+        meshcat.SetTransform(path, X_WT)
 
 
 def draw_grasp(

@@ -368,14 +368,17 @@ class SearchPolicy(LeafSystem):
             lambda depth, mask: foresight.inference.infer(depth, mask, camera),
         )
 
-    def grasps(self, context: Context) -> dict[str, Grasp]:
-        """Plans a grasp on each candidate, as after the last decision.
+    def grasps(
+        self, context: Context, names: Sequence[str]
+    ) -> dict[str, Grasp]:
+        """Plans grasps as after the last decision.
 
         For those who watch: the policy itself stops at the first that it
         takes.
 
         Args:
             context: the policy's own; the heap is as it was when it decided.
+            names: of the candidates to plan for.
 
         Returns:
             Candidate to its best grasp; without those that have none.
@@ -383,7 +386,6 @@ class SearchPolicy(LeafSystem):
         instances: InstanceMasks = self._instances.Eval(context)
         memory: Decision = context.get_abstract_state(self._memory).get_value()
         plan = self._planning(context, instances, memory.failed)
-        names = candidates(instances, min_pixels=self._min_pixels)
         planned = {name: plan(name) for name in names}
         return {name: grasp for name, grasp in planned.items() if grasp}
 
