@@ -9,7 +9,7 @@ from rich.console import Console
 
 from xray_drake.cli.progress import progress_bar
 from xray_drake.cli.search import check_output, configure
-from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
+from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.inspector.page import InspectorPage
 from xray_drake.inspector.recording import write_html
 from xray_drake.inspector.replay import (
@@ -20,7 +20,7 @@ from xray_drake.inspector.replay import (
     remake_heap,
     replay_search,
 )
-from xray_drake.inspector.view import ReplayView
+from xray_drake.inspector.view import ReplayView, look_at_heap
 from xray_drake.station.objects import make_heap
 
 
@@ -111,7 +111,7 @@ def inspect_rollout(
 
 def _show(replay: Replay, options: PageOptions, console: Console) -> None:
     meshcat = start_meshcat()
-    look_at_bin(meshcat)
+    look_at_heap(meshcat)
     view = ReplayView(replay, meshcat)
     view.show(options.step)
     view.set_heap_opacity(options.opacity)

@@ -122,7 +122,9 @@ def draw_masks(
         camera: of both images.
         opacity: in [0, 1].
     """
-    layer = mask_layer(labels, colors, surface_depth(depth, camera), camera)
+    # Each mask lies on its own object alone.
+    surface = surface_depth(depth, camera, reach=0)
+    layer = mask_layer(labels, colors, surface, camera)
     _draw_colors(meshcat, path, layer, opacity)
 
 

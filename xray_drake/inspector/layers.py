@@ -106,12 +106,15 @@ def score_colors(shot: Snapshot) -> np.ndarray:
     return colors
 
 
-def _draw_target(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
+def _draw_silhouette(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
+    mask = shot.target_amodal
+    # Flat, over all that covers it: on the heap it would climb up and down.
+    covered = shot.depth[mask & has_reading(shot.depth)]
     draw_outline(
         meshcat,
         path,
-        shot.target_amodal,
-        shot.depth,
+        mask,
+        np.full_like(shot.depth, covered.min() if covered.size else np.inf),
         shot.camera,
         color=_TARGET_COLOR,
         width=_TARGET_LINE,
@@ -164,10 +167,10 @@ def seen_points(shot: Snapshot) -> Points:
 
 
 LAYERS = (
-    Layer("occupancy", _draw_occupancy, 0.8, translucent=True),
+    Layer("occupancy", _draw_occupancy, 0.75, translucent=True),
     Layer("instances", _draw_instances, translucent=True),
     Layer("scores", _draw_scores, translucent=True),
-    Layer("target", _draw_target, 1.0),
+    Layer("silhouette", _draw_silhouette, 1.0),
     Layer("grasp", _draw_chosen, 1.0),
     Layer("candidates", _draw_candidates),
     Layer("camera", _draw_camera),
@@ -178,7 +181,7 @@ LAYERS = (
 - ``occupancy``: the distribution, over the heap;
 - ``instances``: the modal masks in colours, the target's red;
 - ``scores``: the same, coloured by the policy's score, dark (least) to yellow;
-- ``target``: the outline of the target's true amodal mask;
+- ``silhouette``: the outline of the target's true amodal mask;
 - ``grasp``: what is grasped next, and how;
 - ``candidates``: the best grasp on each other candidate, coloured by quality;
 - ``camera``: its frustum, down to the floor;

@@ -19,6 +19,9 @@ STEP, BACK, NEXT, SEARCH = "step", "back", "next", "search this heap"
 HEAP_OPACITY = "heap opacity"
 SEED, TARGET, OBJECTS = "seed", "target", "objects"
 
+_LAYER_GRAIN, _HEAP_GRAIN = 0.25, 0.125
+"""Of opacities; binary fractions, which the page shows without a long tail."""
+
 _SEEDS = 100
 """So many seeds a slider spans."""
 
@@ -134,10 +137,10 @@ class InspectorPage:
         if not replay.ended:
             self._add_button(SEARCH)
         for layer in LAYERS:
-            grain = 0.1 if layer.translucent else 1
+            grain = _LAYER_GRAIN if layer.translucent else 1
             value = self.view.layers.opacity(layer.name)
             self._add_slider(layer.name, 0, 1, grain, value)
-        self._add_slider(HEAP_OPACITY, 0, 1, 0.1, self._heap_opacity)
+        self._add_slider(HEAP_OPACITY, 0, 1, _HEAP_GRAIN, self._heap_opacity)
         scene, seed = replay.scenario.scene, replay.scenario.seed
         first = seed - seed % _SEEDS
         self._add_slider(SEED, first, first + _SEEDS - 1, 1, seed)
@@ -198,6 +201,7 @@ class InspectorPage:
     def _drop(self, scenario: Scenario) -> None:
         try:
             heap = make_heap(scenario, progress=self._progress("dropping"))
+            self._label_last("deciding …")
             self._show(first_decision(scenario, heap))
         except (RuntimeError, ValueError) as error:
             self._fail(error)
@@ -218,7 +222,7 @@ class InspectorPage:
     def _progress(self, what: str) -> Callable[[float], None]:
         """Returns a function that shows a share done on the last button."""
         self._announce(f"{what} …")
-        self._label_last(f"{what} … 0 %")
+        self._label_last(f"{what} … 0%")
         return lambda share: self._label_last(f"{what} … {share:.0%}")
 
     def _fail(self, error: Exception) -> None:

@@ -3,7 +3,7 @@
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from xray_drake.drawing.meshcat_layers import draw_text
+from xray_drake.drawing.meshcat_layers import draw_text, look_at_bin
 from xray_drake.inspector.layers import ROOT, SnapshotLayers
 from xray_drake.inspector.replay import Replay
 from xray_drake.inspector.stage import HeapStage
@@ -24,6 +24,17 @@ STEP_TIME = 2.0
 
 _LAYERS_TIME = 1.4
 """So long of it the heap rests under its layers; then it moves on, s."""
+
+
+def look_at_heap(meshcat: Meshcat) -> None:
+    """Sets the camera; nearer than for a search, whose tote one wants to see.
+
+    The controls cover the right of the page, so the heap is left of its middle.
+    """
+    look_at_bin(meshcat)
+    meshcat.SetCameraPose(
+        camera_in_world=[0.05, -0.20, 0.32], target_in_world=[0.06, 0.035, 0.02]
+    )
 
 
 class ReplayView:
