@@ -19,10 +19,10 @@ _X_W_CAPTION = RigidTransform(RollPitchYaw(0.9, 0.0, 0.0), [-0.25, 0.23, 0.13])
 
 _CAPTION_COLOR = (0.15, 0.17, 0.2)
 
-STEP_TIME = 2.0
+STEP_TIME = 3.0
 """A step in a recording, s."""
 
-_LAYERS_TIME = 1.4
+_LAYERS_TIME = 2.4
 """So long of it the heap rests under its layers; then it moves on, s."""
 
 
@@ -107,7 +107,7 @@ class ReplayView:
     def record(self) -> None:
         """Draws all steps and records them: a static page can go through them.
 
-        In the recording each step lasts two seconds; at its end the objects
+        In the recording each step lasts three seconds; at its end the objects
         move to where they lie in the next.
         """
         shown = self._step
@@ -118,15 +118,13 @@ class ReplayView:
         meshcat.StartRecording(set_visualizations_while_recording=False)
         for step in range(1, self.num_steps + 1):
             start = STEP_TIME * (step - 1)
-            self._stage.show(self._poses(step), time=start)
-            if step < self.num_steps:
-                rests = start + _LAYERS_TIME
-                self._stage.show(self._poses(step), time=rests)
-                self._record_visible(self.layers.paths(step), start, rests)
-            until = start + STEP_TIME if step < self.num_steps else None
-            self._record_visible([_caption(step)], start, until)
+            rests = start + _LAYERS_TIME
+            for time in (start, rests):
+                self._stage.show(self._poses(step), time=time)
+            for path in self.layers.paths(step):
+                self._record_visible(path, start, rests)
+            self._record_visible(_caption(step), start, start + STEP_TIME)
         meshcat.StopRecording()
-        meshcat.get_mutable_recording().set_autoplay(False)
         meshcat.PublishRecording()
         self._step = 0
         self.show(shown)
@@ -184,20 +182,17 @@ class ReplayView:
             self._captions.add(step)
             self.meshcat.SetProperty(_caption(step), "visible", False)
 
-    def _record_visible(
-        self, paths: list[str], start: float, end: float | None
-    ) -> None:
-        for path in paths:
-            if start > 0:
+    def _record_visible(self, path: str, start: float, end: float) -> None:
+        last = STEP_TIME * (self.num_steps - 1) + _LAYERS_TIME
+        # At the first and last moment, too: what has fewer keys than others
+        # can be left as it was when the player jumps.
+        for time in sorted({0.0, start, end, last}):
+            if time <= last:
                 self.meshcat.SetProperty(
-                    path, "visible", False, time_in_recording=0.0
-                )
-            self.meshcat.SetProperty(
-                path, "visible", True, time_in_recording=start
-            )
-            if end is not None:
-                self.meshcat.SetProperty(
-                    path, "visible", False, time_in_recording=end
+                    path,
+                    "visible",
+                    start <= time < end,
+                    time_in_recording=time,
                 )
 
 
