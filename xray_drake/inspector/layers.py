@@ -241,9 +241,12 @@ class SnapshotLayers:
             opacity: in [0, 1]; 0 is off.
 
         Raises:
-            KeyError: there is no such layer.
+            ValueError: there is no such layer.
         """
-        (layer,) = [layer for layer in LAYERS if layer.name == name]
+        known = {layer.name: layer for layer in LAYERS}
+        if name not in known:
+            raise ValueError(f"no layer {name!r}: {', '.join(known)}")
+        layer = known[name]
         self._opacity[name] = opacity
         self._switch(layer)
         self.show(self._step)

@@ -107,6 +107,7 @@ class ReplayView:
     def record(self) -> None:
         """Draws all steps and records them: a static page can go through them.
 
+        A heap without a search has one step, and nothing to be recorded.
         In the recording each step lasts three seconds; at its end the objects
         move to where they lie in the next.
         """
@@ -115,14 +116,17 @@ class ReplayView:
         self.layers.draw_all()
         for step in range(1, self.num_steps + 1):
             self._draw_caption(step)
+        if self.num_steps == 1:
+            return
         meshcat.StartRecording(set_visualizations_while_recording=False)
         for step in range(1, self.num_steps + 1):
             start = STEP_TIME * (step - 1)
             rests = start + _LAYERS_TIME
             for time in (start, rests):
                 self._stage.show(self._poses(step), time=time)
-            for path in self.layers.paths(step):
-                self._record_visible(path, start, rests)
+            if step <= len(self.replay.snapshots):
+                for path in self.layers.paths(step):
+                    self._record_visible(path, start, rests)
             self._record_visible(_caption(step), start, start + STEP_TIME)
         meshcat.StopRecording()
         meshcat.PublishRecording()
