@@ -108,6 +108,10 @@ def test_an_old_benchmark_has_its_scenario_beside_it(
     first = load_rollout(path).scenario
     assert dump_scenario(first) == dump_scenario(replay.scenario)
     assert load_rollout(path, index=1).scenario.policy.name == "xray"
+    # Still older ones had no choice of what goes first.
+    del record["target_first"]
+    path = written(record, record)
+    assert load_rollout(path).scenario.policy.target_first
 
 
 def test_an_old_record_without_scenario(

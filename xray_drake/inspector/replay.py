@@ -243,7 +243,7 @@ def _scenario_of(record: Record, path: Path) -> Scenario:
         policy=replace(
             scenario.policy,
             name=record["policy"],
-            target_first=record["target_first"],
+            target_first=record.get("target_first", True),
         ),
         perception=replace(scenario.perception, occupancy=record["occupancy"])
         if record["occupancy"]
