@@ -12,7 +12,11 @@ _GAP = 0.004
 
 
 def surface_depth(
-    depth: np.ndarray, camera: PinholeCamera, *, reach: int = 3
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    *,
+    reach: int = 3,
+    gap: float = _GAP,
 ) -> np.ndarray:
     """Returns a depth image that lies on the heap without tearing.
 
@@ -20,9 +24,10 @@ def surface_depth(
         depth: (H, W) z-depth, m; no reading becomes the floor.
         camera: of the image.
         reach: a pixel takes the nearest depth within this many pixels.
+        gap: how far in front of the surface, m.
 
     Returns:
-        (H, W) z-depth, m, :data:`_GAP` in front of the surface.
+        (H, W) z-depth, m.
     """
     floor = camera.plane_depth(0.0)
     valid = has_reading(depth)
@@ -31,7 +36,7 @@ def surface_depth(
     nearest = cv2.erode(
         filled.astype(np.float32), np.ones((size, size), np.uint8)
     )
-    return nearest - _GAP
+    return nearest - gap
 
 
 def tiles(

@@ -28,6 +28,9 @@ others."""
 _OUTLINE_LIFT = 0.002
 """How far an outline hovers over the layer of colours, m."""
 
+_MASK_GAP = 0.0015
+"""How far masks hover over the objects, m."""
+
 _ROD_RADIUS = 0.002
 """m."""
 
@@ -122,8 +125,8 @@ def draw_masks(
         camera: of both images.
         opacity: in [0, 1].
     """
-    # Each mask lies on its own object alone.
-    surface = surface_depth(depth, camera, reach=0)
+    # Each mask lies on its own object alone, so it need not hover high.
+    surface = surface_depth(depth, camera, reach=0, gap=_MASK_GAP)
     layer = mask_layer(labels, colors, surface, camera)
     _draw_colors(meshcat, path, layer, opacity)
 
