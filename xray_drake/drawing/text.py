@@ -3,7 +3,6 @@
 from functools import cache
 
 import numpy as np
-from matplotlib.font_manager import findfont
 from PIL import Image, ImageDraw, ImageFont
 
 _FONT = "DejaVu Sans"
@@ -61,6 +60,9 @@ def text_picture(lines: tuple[str, ...]) -> np.ndarray:
 
 @cache
 def _font() -> ImageFont.FreeTypeFont:
+    # Takes long to import, and who draws a heap may need no text.
+    from matplotlib.font_manager import findfont
+
     return ImageFont.truetype(findfont(_FONT), int(_PIXELS * 0.8))
 
 
