@@ -6,7 +6,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from xray_drake.drawing.colors import heat
-from xray_drake.drawing.layers import heat_layer, mask_outline, surface_depth
+from xray_drake.drawing.layers import (
+    heat_layer,
+    mask_layer,
+    mask_outline,
+    surface_depth,
+)
 from xray_drake.geometry.camera import PinholeCamera
 
 
@@ -259,3 +264,36 @@ def test_a_blank_mask_has_no_outline() -> None:
     mask = np.zeros(camera.shape, bool)
     vertices, faces = mask_outline(mask, np.full(camera.shape, 0.7), camera)
     assert vertices.shape == faces.shape == (3, 0)
+
+
+def test_masks_lie_on_their_own_objects() -> None:
+    camera = camera_over_bin()
+    labels = np.full(camera.shape, -1)
+    labels[4:12, 4:12] = 0
+    labels[4:12, 12:20] = 1
+    labels[14:18, 4:12] = 2
+    depth = np.where(labels == 1, 0.7, 0.8)
+    colors = np.array([[1.0, 0, 0], [0, 1.0, 0], [np.nan] * 3])
+    surface = surface_depth(depth, camera, reach=0, gap=0.0015)
+    vertices, faces, painted = mask_layer(
+        labels, colors, surface, camera, step=1
+    )
+    u, v, z = camera.project(vertices.T).T
+    # Each vertex has the colour and the depth of its own pixel.
+    at = labels[np.rint(v).astype(int), np.rint(u).astype(int)]
+    assert set(at) == {0, 1}, "what has no colour is not drawn"
+    np.testing.assert_array_equal(painted.T, colors[at])
+    np.testing.assert_allclose(z, np.where(at == 1, 0.6985, 0.7985))
+    # No triangle reaches from one mask to the other.
+    assert (at[faces] == at[faces[0]]).all()
+    assert faces.shape[1] == 2 * 2 * 7 * 7
+
+
+def test_no_masks_no_triangles() -> None:
+    camera = camera_over_bin()
+    blank = np.full(camera.shape, -1)
+    for colors in (np.zeros((0, 3)), np.ones((2, 3))):
+        vertices, faces, painted = mask_layer(
+            blank, colors, np.full(camera.shape, 0.8), camera
+        )
+        assert vertices.shape == faces.shape == painted.shape == (3, 0)

@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 import umsgpack
 from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
 from xray_drake.drawing.colors import heat
 from xray_drake.drawing.layers import heat_layer, surface_depth
 from xray_drake.drawing.meshcat_layers import (
     draw_grasp,
+    draw_masks,
     draw_occupancy,
     draw_outline,
+    draw_text,
     look_at_bin,
+    set_layer_opacity,
     start_meshcat,
 )
 from xray_drake.geometry.camera import PinholeCamera
@@ -189,3 +193,46 @@ def test_a_jaw_grasp_is_a_fork_as_wide_as_the_grasp(meshcat: Meshcat) -> None:
     np.testing.assert_allclose(left[1], bridge[0], atol=1e-6)
     np.testing.assert_allclose(right[0], bridge[1], atol=1e-6)
     np.testing.assert_allclose(bridge[:, 2], -0.06, atol=1e-6)
+
+
+def test_masks_are_translucent(meshcat: Meshcat, camera: PinholeCamera) -> None:
+    labels = np.full(camera.shape, -1)
+    labels[4:12, 4:20] = 0
+    depth = np.full(camera.shape, 0.7)
+    path = "/masks"
+    draw_masks(meshcat, path, labels, np.ones((1, 3)), depth, camera)
+    assert prop(meshcat, f"{path}/<object>", "modulated_opacity") == 0.8
+    points = vertices(meshcat, path)
+    np.testing.assert_allclose(points[:, 2], 0.1015, atol=1e-6)
+    set_layer_opacity(meshcat, path, 0.25)
+    assert prop(meshcat, f"{path}/<object>", "modulated_opacity") == 0.25
+    blank = np.full(camera.shape, -1)
+    draw_masks(meshcat, path, blank, np.ones((1, 3)), depth, camera)
+    assert not meshcat.HasPath(path)
+
+
+def test_text_stands_where_it_is_put(meshcat: Meshcat) -> None:
+    X_WT = RigidTransform([0.1, 0.2, 0.3])
+    color = (0.0, 0.0, 0.0)
+    draw_text(meshcat, "/text", ("seed 7",), X_WT, height=0.02, color=color)
+    np.testing.assert_allclose(pose(meshcat, "/text")[:3, 3], [0.1, 0.2, 0.3])
+    points = vertices(meshcat, "/text")
+    assert 0 < points[:, 1].min() < points[:, 1].max() < 0.02
+    draw_text(meshcat, "/text", ("",), X_WT, height=0.02, color=color)
+    assert not meshcat.HasPath("/text")
+
+
+def test_an_outline_in_another_colour(
+    meshcat: Meshcat, camera: PinholeCamera
+) -> None:
+    mask = np.zeros(camera.shape, bool)
+    mask[6:16, 8:22] = True
+    depth = np.full(camera.shape, 0.7)
+    draw_outline(meshcat, "/thin", mask, depth, camera)
+    draw_outline(
+        meshcat, "/wide", mask, depth, camera, color=(0, 0, 1.0), width=2
+    )
+    (thin,) = shown(meshcat, "/thin")["materials"]
+    (wide,) = shown(meshcat, "/wide")["materials"]
+    assert wide["color"] == 0x0000FF != thin["color"]
+    assert len(vertices(meshcat, "/wide")) > len(vertices(meshcat, "/thin"))

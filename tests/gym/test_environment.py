@@ -61,6 +61,8 @@ def scenario() -> Scenario:
     scenario = Scenario(name="tiny", seed=99)  # reset's seed replaces it
     scenario.scene.num_objects = 4
     scenario.perception.occupancy = "exact"
+    # An agent does as it likes; this is to be the policy's scenario.
+    scenario.policy.target_first = False
     return scenario
 
 

@@ -86,13 +86,14 @@ def check_folder(folder: Path, scenario: str) -> None:
         )
 
 
-def read_rollouts(folder: Path) -> list[Record]:
+def read_rollouts(folder: Path, name: str = ROLLOUTS) -> list[Record]:
     """Reads the records of a folder; a line cut short by a kill is left out.
 
     Args:
         folder: of a benchmark; without a file there are none.
+        name: of the file.
     """
-    path = folder / ROLLOUTS
+    path = folder / name
     if not path.is_file():
         return []
     records = []

@@ -6,17 +6,11 @@ from typing import Any
 
 from pydrake.systems.framework import Context
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from xray_drake.cli.configure import configure
 from xray_drake.cli.exits import INTERRUPTED
+from xray_drake.cli.progress import progress_bar
 from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
 from xray_drake.inspector.recording import record_search, write_html
 from xray_drake.inspector.session import InteractiveSearch
@@ -76,6 +70,26 @@ class _Narrator:
         self._console.print("  ".join(parts), highlight=False, soft_wrap=True)
 
 
+def check_output(path: Path | None) -> None:
+    """Checks that a file can be written, before the work for it is done.
+
+    Args:
+        path: of the file; None for none.
+
+    Raises:
+        ScenarioError: it is a folder, or in none.
+    """
+    if path is not None and path.is_dir():
+        raise ScenarioError(
+            f"cannot write {path}: it is a folder; name a file in it"
+        )
+    if path is not None and not path.absolute().parent.is_dir():
+        raise ScenarioError(
+            f"cannot write {path}: the folder "
+            f"{path.absolute().parent} does not exist"
+        )
+
+
 def run(options: SearchOptions, console: Console) -> int:
     """Runs the search and returns the exit status.
 
@@ -86,15 +100,7 @@ def run(options: SearchOptions, console: Console) -> int:
     """
     scenario = configure(options.scenario, options.overrides)
     for path in (options.json, options.html):
-        if path is not None and path.is_dir():
-            raise ScenarioError(
-                f"cannot write {path}: it is a folder; name a file in it"
-            )
-        if path is not None and not path.absolute().parent.is_dir():
-            raise ScenarioError(
-                f"cannot write {path}: the folder "
-                f"{path.absolute().parent} does not exist"
-            )
+        check_output(path)
     narrator = _Narrator(console)
     if options.meshcat:
         return _run_live(scenario, options, narrator, console)
@@ -145,20 +151,8 @@ def _run_live(
 
 def _drop(scenario: Scenario, console: Console) -> Heap:
     count = scenario.scene.num_objects
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bars:
-        task = bars.add_task(f"dropping {count} objects", total=1.0)
-        heap = make_heap(
-            scenario,
-            progress=lambda share: bars.update(task, completed=share),
-        )
+    with progress_bar(console, f"dropping {count} objects") as progress:
+        heap = make_heap(scenario, progress=progress)
     console.print(
         f"heap of seed {heap.seed}: {heap.target.name} under "
         f"{len(heap.objects)} objects",

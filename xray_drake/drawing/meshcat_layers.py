@@ -5,18 +5,31 @@ import itertools
 import numpy as np
 from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.perception import BaseField, Fields, PointCloud
 
-from xray_drake.drawing.layers import heat_layer, mask_outline, surface_depth
+from xray_drake.drawing.layers import (
+    heat_layer,
+    mask_layer,
+    mask_outline,
+    surface_depth,
+)
+from xray_drake.drawing.primitives import Lines, Points
+from xray_drake.drawing.text import text_mesh
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Grasp, GraspKind
 
-_CHOSEN = Rgba(1.0, 0.0, 0.7, 1.0)
+CHOSEN = (1.0, 0.0, 0.7)
+"""RGB of what is grasped next."""
 
 _SRGB_GAMMA = 2.2
-"""Meshcat takes vertex colours as linear light, unlike all its others."""
+"""Meshcat takes colours of vertices and points as linear light, unlike all its
+others."""
 
 _OUTLINE_LIFT = 0.002
 """How far an outline hovers over the layer of colours, m."""
+
+_MASK_GAP = 0.0015
+"""How far masks hover over the objects, m."""
 
 _ROD_RADIUS = 0.002
 """m."""
@@ -87,13 +100,59 @@ def draw_occupancy(
         camera: of both images.
         opacity: in [0, 1].
     """
+    layer = heat_layer(values, surface_depth(depth, camera), camera)
+    _draw_colors(meshcat, path, layer, opacity)
+
+
+def draw_masks(
+    meshcat: Meshcat,
+    path: str,
+    labels: np.ndarray,
+    colors: np.ndarray,
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    *,
+    opacity: float = 0.8,
+) -> None:
+    """Draws instance masks as a translucent layer on the heap.
+
+    Args:
+        meshcat: where.
+        path: of the layer; what was there is replaced.
+        labels: (H, W) int; what is below 0 is not drawn.
+        colors: (n, 3) RGB in [0, 1] of each label; NaN is not drawn.
+        depth: (H, W) z-depth, m.
+        camera: of both images.
+        opacity: in [0, 1].
+    """
+    # Each mask lies on its own object alone, so it need not hover high.
+    surface = surface_depth(depth, camera, reach=0, gap=_MASK_GAP)
+    layer = mask_layer(labels, colors, surface, camera)
+    _draw_colors(meshcat, path, layer, opacity)
+
+
+def set_layer_opacity(meshcat: Meshcat, path: str, opacity: float) -> None:
+    """Makes a layer of colours more or less translucent.
+
+    Args:
+        meshcat: where.
+        path: of the layer.
+        opacity: in [0, 1].
+    """
+    meshcat.SetProperty(f"{path}/<object>", "modulated_opacity", opacity)
+
+
+def _draw_colors(
+    meshcat: Meshcat,
+    path: str,
+    layer: tuple[np.ndarray, np.ndarray, np.ndarray],
+    opacity: float,
+) -> None:
     meshcat.Delete(path)
-    vertices, faces, colors = heat_layer(
-        values, surface_depth(depth, camera), camera
-    )
+    vertices, faces, colors = layer
     if faces.shape[1]:
         meshcat.SetTriangleColorMesh(path, vertices, faces, colors**_SRGB_GAMMA)
-        meshcat.SetProperty(f"{path}/<object>", "modulated_opacity", opacity)
+        set_layer_opacity(meshcat, path, opacity)
 
 
 def draw_outline(
@@ -102,26 +161,102 @@ def draw_outline(
     mask: np.ndarray,
     depth: np.ndarray,
     camera: PinholeCamera,
+    *,
+    color: tuple[float, float, float] = CHOSEN,
+    width: int = 1,
 ) -> None:
-    """Draws the outline of a mask on the heap; see :func:`draw_occupancy`."""
+    """Draws the outline of a mask on the heap; see :func:`draw_occupancy`.
+
+    Args:
+        meshcat: where.
+        path: of the layer; what was there is replaced.
+        mask: (H, W) bool.
+        depth: (H, W) z-depth, m.
+        camera: of both images.
+        color: RGB in [0, 1].
+        width: of the band on either side of the mask's edge, pixels.
+    """
     meshcat.Delete(path)
     vertices, faces = mask_outline(
-        mask, surface_depth(depth, camera) - _OUTLINE_LIFT, camera
+        mask, surface_depth(depth, camera) - _OUTLINE_LIFT, camera, width=width
     )
     if faces.shape[1]:
-        meshcat.SetTriangleMesh(path, vertices, faces, _CHOSEN)
+        meshcat.SetTriangleMesh(path, vertices, faces, Rgba(*color))
 
 
-def draw_grasp(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
-    """Draws a grasp: the jaw as a fork, the cup as a disc on a stem."""
+def draw_points(meshcat: Meshcat, path: str, points: Points) -> None:
+    """Draws points; what was at the path is replaced."""
+    meshcat.Delete(path)
+    if not len(points.positions):
+        return
+    cloud = PointCloud(
+        len(points.positions), Fields(BaseField.kXYZs | BaseField.kRGBs)
+    )
+    cloud.mutable_xyzs()[:] = points.positions.T
+    cloud.mutable_rgbs()[:] = np.rint(
+        255 * points.colors.T**_SRGB_GAMMA
+    ).astype(np.uint8)
+    meshcat.SetObject(path, cloud, points.size)
+
+
+def draw_lines(meshcat: Meshcat, path: str, lines: Lines) -> None:
+    """Draws lines, one pixel wide; what was at the path is replaced."""
+    meshcat.SetLineSegments(
+        path, lines.ends[:, 0].T, lines.ends[:, 1].T, 2.0, Rgba(*lines.color)
+    )
+
+
+def draw_text(
+    meshcat: Meshcat,
+    path: str,
+    lines: tuple[str, ...],
+    X_WT: RigidTransform,
+    *,
+    height: float,
+    color: tuple[float, float, float],
+) -> None:
+    """Draws lines of text; what was at the path is replaced.
+
+    Args:
+        meshcat: where.
+        path: of the text.
+        lines: one below the other.
+        X_WT: pose of the text's lower left corner, x along the lines, y up.
+        height: of a line, m.
+        color: RGB in [0, 1].
+    """
+    meshcat.Delete(path)
+    vertices, faces = text_mesh(lines, height)
+    if faces.shape[1]:
+        meshcat.SetTriangleMesh(path, vertices, faces, Rgba(*color))
+        meshcat.SetTransform(path, X_WT)
+
+
+def draw_grasp(
+    meshcat: Meshcat,
+    path: str,
+    grasp: Grasp,
+    *,
+    color: tuple[float, float, float] = CHOSEN,
+    radius: float = _ROD_RADIUS,
+) -> None:
+    """Draws a grasp: the jaw as a fork, the cup as a disc on a stem.
+
+    Args:
+        meshcat: where.
+        path: of the layer; what was there is replaced.
+        grasp: of kind NONE, nothing is drawn.
+        color: RGB in [0, 1].
+        radius: of the rods, m.
+    """
     meshcat.Delete(path)
     if not grasp:
         return
-    X = grasp.X_WG
+    X, rgba = grasp.X_WG, Rgba(*color)
     length = 0.06
     if grasp.kind is GraspKind.SUCTION:
         points = np.array([[0, 0, -length], [0, 0, 0]], dtype=float)
-        meshcat.SetObject(f"{path}/cup", Cylinder(0.015, 0.003), _CHOSEN)
+        meshcat.SetObject(f"{path}/cup", Cylinder(0.015, 0.003), rgba)
         meshcat.SetTransform(f"{path}/cup", RigidTransform(X))
     else:
         half = grasp.width / 2
@@ -138,9 +273,7 @@ def draw_grasp(meshcat: Meshcat, path: str, grasp: Grasp) -> None:
     for index, (a, b) in enumerate(itertools.pairwise(points)):
         along = b - a
         rod = f"{path}/rod_{index}"
-        meshcat.SetObject(
-            rod, Capsule(_ROD_RADIUS, np.linalg.norm(along)), _CHOSEN
-        )
+        meshcat.SetObject(rod, Capsule(radius, np.linalg.norm(along)), rgba)
         meshcat.SetTransform(
             rod,
             RigidTransform(

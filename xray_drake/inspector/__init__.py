@@ -1,1 +1,1 @@
-"""Inspecting searches in Meshcat."""
+"""Inspecting heaps, searches and datasets in Meshcat."""

@@ -1,14 +1,18 @@
 """Shows samples of a dataset in Meshcat, Drake's or the one from PyPI."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from xray_drake.dataset.sample import Sample
 from xray_drake.drawing.colors import heat
+from xray_drake.drawing.primitives import (
+    Lines,
+    Points,
+    box_lines,
+    frustum_lines,
+)
 from xray_drake.drawing.sample_figure import instance_colors
-from xray_drake.geometry.camera import PinholeCamera
 
 _FRUSTUM = 0.1
 """Depth at which the camera's frustum ends, m."""
@@ -26,30 +30,6 @@ _SCENE_STEP = 2
 
 _EYE, _LOOK_AT = (0.06, -0.33, 0.47), (0.08, 0.03, 0.0)
 """Of the browser's camera in the world, m; as in ``look_at_bin``."""
-
-_SRGB_GAMMA = 2.2
-"""Drake's Meshcat takes the colours of points as linear light."""
-
-_BOX_EDGES = [
-    (a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)
-]
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Points in the world: (n, 3) positions in m, (n, 3) RGB in [0, 1]."""
-
-    positions: np.ndarray
-    colors: np.ndarray
-    size: float
-
-
-@dataclass(frozen=True, eq=False)
-class Lines:
-    """Lines in the world: (n, 2, 3) ends in m, one RGB in [0, 1]."""
-
-    ends: np.ndarray
-    color: tuple[float, float, float]
 
 
 class Viewer(Protocol):
@@ -93,8 +73,10 @@ def sample_layers(sample: Sample) -> dict[str, Points | Lines]:
             heat(sample.occupancy[likely]),
             _OCCUPANCY_POINT,
         ),
-        "camera": Lines(_frustum(camera), _CAMERA_COLOR),
-        "target": Lines(_box(sample.X_WT, sample.target_size), _TARGET_COLOR),
+        "camera": Lines(frustum_lines(camera, _FRUSTUM), _CAMERA_COLOR),
+        "target": Lines(
+            box_lines(sample.X_WT, sample.target_size), _TARGET_COLOR
+        ),
     }
 
 
@@ -141,29 +123,12 @@ class DrakeViewer:
 
     def show(self, path: str, layer: Points | Lines) -> None:
         """Replaces what is at the path."""
-        from pydrake.geometry import Rgba
-        from pydrake.perception import BaseField, Fields, PointCloud
+        from xray_drake.drawing.meshcat_layers import draw_lines, draw_points
 
         if isinstance(layer, Lines):
-            self.meshcat.SetLineSegments(
-                path,
-                layer.ends[:, 0].T,
-                layer.ends[:, 1].T,
-                2.0,
-                Rgba(*layer.color),
-            )
-            return
-        self.meshcat.Delete(path)
-        if not len(layer.positions):
-            return
-        cloud = PointCloud(
-            len(layer.positions), Fields(BaseField.kXYZs | BaseField.kRGBs)
-        )
-        cloud.mutable_xyzs()[:] = layer.positions.T
-        cloud.mutable_rgbs()[:] = np.rint(
-            255 * layer.colors.T**_SRGB_GAMMA
-        ).astype(np.uint8)
-        self.meshcat.SetObject(path, cloud, layer.size)
+            draw_lines(self.meshcat, path, layer)
+        else:
+            draw_points(self.meshcat, path, layer)
 
 
 class PyPIViewer:
@@ -217,25 +182,3 @@ class PyPIViewer:
                     size=layer.size,
                 )
             )
-
-
-def _frustum(camera: PinholeCamera) -> np.ndarray:
-    """(8, 2, 3): from the camera's centre to the image corners, and around."""
-    rays = camera.rays()
-    corners = camera.X_WC[:3, 3] + _FRUSTUM * np.array(
-        [rays[0, 0], rays[0, -1], rays[-1, -1], rays[-1, 0]]
-    )
-    center = np.broadcast_to(camera.X_WC[:3, 3], corners.shape)
-    return np.concatenate(
-        [
-            np.stack([center, corners], axis=1),
-            np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
-        ]
-    )
-
-
-def _box(X_WT: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(12, 2, 3): the edges of a box about the origin of a frame."""
-    signs = np.array([[(i >> k & 1) - 0.5 for k in range(3)] for i in range(8)])
-    corners = (signs * size) @ X_WT[:3, :3].T + X_WT[:3, 3]
-    return corners[np.array(_BOX_EDGES)]

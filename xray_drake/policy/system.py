@@ -368,6 +368,27 @@ class SearchPolicy(LeafSystem):
             lambda depth, mask: foresight.inference.infer(depth, mask, camera),
         )
 
+    def grasps(
+        self, context: Context, names: Sequence[str]
+    ) -> dict[str, Grasp]:
+        """Plans grasps as after the last decision.
+
+        For those who watch: the policy itself stops at the first that it
+        takes.
+
+        Args:
+            context: the policy's own; the heap is as it was when it decided.
+            names: of the candidates to plan for.
+
+        Returns:
+            Candidate to its best grasp; without those that have none.
+        """
+        instances: InstanceMasks = self._instances.Eval(context)
+        memory: Decision = context.get_abstract_state(self._memory).get_value()
+        plan = self._planning(context, instances, memory.failed)
+        planned = {name: plan(name) for name in names}
+        return {name: grasp for name, grasp in planned.items() if grasp}
+
     def _first_grasp(
         self, ranked: Sequence[tuple[str, float]], plan: Planning
     ) -> tuple[Grasp, float]:

@@ -20,6 +20,7 @@ from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin, inside_tote
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
+from xray_drake.station.scenario import dump_scenario
 from xray_drake.station.start import target_view
 
 
@@ -111,6 +112,7 @@ class SearchMonitor:
                 "redrawn": heap.redrawn,
             },
             target_first=scenario.policy.target_first and not diagram.agent,
+            scenario=dump_scenario(scenario),
         )
 
     def __call__(self, root_context: Context) -> EventStatus:

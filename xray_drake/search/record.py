@@ -109,6 +109,8 @@ class SearchRecord:
         end: "success", "horizon", "target_lost", "nothing_graspable";
             "interrupted" where it was stopped; empty while it goes on.
         target_first: the policy grasps the target whenever it can.
+        scenario: as YAML, whatever differs from the defaults; the search can
+            be run again from it.
     """
 
     horizon: int
@@ -122,6 +124,7 @@ class SearchRecord:
     actions: list[ActionRecord] = field(default_factory=list)
     end: str = ""
     target_first: bool = True
+    scenario: str = ""
 
     @property
     def success(self) -> bool:
@@ -149,12 +152,18 @@ class SearchRecord:
             "start": {k: round(v, 4) for k, v in self.start.items()},
             "actions": [action.to_dict() for action in self.actions],
             "end": self.end,
-            "versions": {
-                "xray_drake": __version__,
-                "drake": version("drake"),
-                "numpy": np.__version__,
-            },
+            "scenario": self.scenario,
+            "versions": versions(),
         }
+
+
+def versions() -> dict[str, str]:
+    """Returns the versions that a rollout depends on."""
+    return {
+        "xray_drake": __version__,
+        "drake": version("drake"),
+        "numpy": np.__version__,
+    }
 
 
 def write_record(record: SearchRecord, path: Path) -> None:

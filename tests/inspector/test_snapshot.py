@@ -1,0 +1,82 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from xray_drake.inspector.replay import Replay
+from xray_drake.inspector.snapshot import Snapshot
+from xray_drake.messages import Outcome
+from xray_drake.scene.heap import Heap
+from xray_drake.testing.tiny import Observation
+
+
+def test_the_first_snapshot_is_what_the_camera_sees(
+    replay: Replay, recorded_observation: Observation, tiny_heap: Heap
+) -> None:
+    shot, seen = replay.snapshots[0], recorded_observation
+    np.testing.assert_array_equal(shot.depth, seen.depth)
+    np.testing.assert_array_equal(shot.seen_depth, seen.depth)
+    assert set(shot.instances.names) == set(seen.label_of) - {"pad"}
+    for name in shot.instances.names:
+        np.testing.assert_array_equal(
+            shot.instances.mask(name), seen.labels == seen.label_of[name]
+        )
+    for name, X_WO in tiny_heap.poses.items():
+        np.testing.assert_allclose(shot.poses[name], X_WO, atol=1e-9)
+    target = tiny_heap.target.name
+    assert shot.target == target
+    # One end of it peeps out from under the book.
+    modal = shot.instances.mask(target)
+    assert modal.any()
+    assert modal.sum() < shot.target_amodal.sum()
+    assert shot.target_amodal[modal].mean() > 0.95
+    assert shot.color.shape == (384, 512, 3)
+    assert shot.occupancy.support()[shot.target_amodal].mean() > 0.9
+
+
+def test_it_holds_the_decision_and_what_became_of_it(replay: Replay) -> None:
+    assert [shot.step for shot in replay.snapshots] == [1, 2]
+    first, second = replay.snapshots
+    assert first.action.grasp.object == "book"
+    assert replay.record.actions[0].outcome is Outcome.LIFTED
+    # What was lifted lies elsewhere then, and there the next look finds it.
+    assert first.poses_after is not None
+    moved = first.poses_after["book"][:3, 3] - first.poses["book"][:3, 3]
+    assert np.linalg.norm(moved) > 0.1
+    for name, X_WO in first.poses_after.items():
+        np.testing.assert_allclose(second.poses[name], X_WO, atol=1e-3)
+    # In the tote the camera does not see it, but it sees what lay under it.
+    assert "book" not in second.instances.names
+    assert "pad" in second.instances.names
+
+
+def test_grasps_of_the_candidates_ranked_highest(replay: Replay) -> None:
+    shot = replay.snapshots[0]
+    assert set(shot.grasps) <= set(shot.action.ranking)
+    assert len(shot.grasps) > 1
+    assert shot.grasps["book"] is shot.action.grasp
+    for name, grasp in shot.grasps.items():
+        assert grasp.object == name
+        assert grasp.quality > 0
+
+
+def with_scores(shot: Snapshot, scores: tuple[float, ...]) -> Snapshot:
+    ranking = tuple(f"object_{k}" for k in range(len(scores)))
+    action = replace(shot.action, ranking=ranking, scores=scores)
+    return replace(shot, action=action)
+
+
+@pytest.mark.parametrize(
+    ("scores", "shares"),
+    [
+        ((5.0, 3.0, 1.0), [1.0, 0.5, 0.0]),
+        ((2.0, -2.0), [1.0, 0.0]),
+        ((0.0, 0.0), [1.0, 1.0]),
+        ((), []),
+    ],
+)
+def test_relative_scores(
+    replay: Replay, scores: tuple[float, ...], shares: list[float]
+) -> None:
+    shot = with_scores(replay.snapshots[0], scores)
+    assert list(shot.relative_scores().values()) == shares
