@@ -86,8 +86,15 @@ def show(
     packaged: _Packaged = False,
     per_family: Annotated[
         int | None,
-        typer.Option(min=1, help="So many of each family, one family a row."),
+        typer.Option(
+            min=1,
+            help="So many of each family, one family a row; 1 fills the rows.",
+        ),
     ] = None,
+    size: Annotated[
+        int,
+        typer.Option(min=40, help="Of each object in the sheet, pixels."),
+    ] = 160,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -119,15 +126,17 @@ def show(
                 grouped.setdefault(_family_of(name), []).append(name)
             # Sorted: a packaged variant comes next to its object.
             rows = [sorted(group)[:per_family] for group in grouped.values()]
-            columns = max(map(len, rows))
+            if per_family > 1:
+                columns = max(map(len, rows))
+            width = columns if per_family > 1 else 1
             shown = [
                 row[i] if i < len(row) else None
                 for row in rows
-                for i in range(columns)
+                for i in range(width)
             ]
         models = _built(shown)
         if out is not None or not meshcat:
-            _write_sheet(models, out or Path("objects.png"), columns)
+            _write_sheet(models, out or Path("objects.png"), columns, size)
         if meshcat:
             _serve(models, columns)
 
@@ -252,7 +261,10 @@ def _built(names: Sequence[str | None]) -> list["ObjectModel | None"]:
 
 
 def _write_sheet(
-    models: Sequence["ObjectModel | None"], path: Path, columns: int
+    models: Sequence["ObjectModel | None"],
+    path: Path,
+    columns: int,
+    size: int,
 ) -> None:
     import cv2
 
@@ -263,7 +275,10 @@ def _write_sheet(
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("drawing", total=len(models))
         sheet = contact_sheet(
-            models, columns=columns, progress=lambda: bar.advance(task)
+            models,
+            columns=columns,
+            size=size,
+            progress=lambda: bar.advance(task),
         )
     _, data = cv2.imencode(".png", sheet[..., ::-1])
     path.write_bytes(data.tobytes())
