@@ -143,7 +143,7 @@ def test_generate_train_evaluate(
     assert iou["ours"] < min(iou["shipped"], iou["exact"])
     (weights,) = tmp_path.glob("*/run/weights.safetensors")
     card = read_card(weights)
-    assert card.training["dataset"]["images"] == 18
+    assert card.data["images used"] == 18
     assert "of 2 actions" in search
 
 
