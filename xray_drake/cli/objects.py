@@ -86,10 +86,7 @@ def show(
     packaged: _Packaged = False,
     per_family: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="So many of each family, one family a row; 1 fills the rows.",
-        ),
+        typer.Option(min=1, help="So many of each family, one family a row."),
     ] = None,
     size: Annotated[
         int,
@@ -126,13 +123,11 @@ def show(
                 grouped.setdefault(_family_of(name), []).append(name)
             # Sorted: a packaged variant comes next to its object.
             rows = [sorted(group)[:per_family] for group in grouped.values()]
-            if per_family > 1:
-                columns = max(map(len, rows))
-            width = columns if per_family > 1 else 1
+            columns = max(map(len, rows))
             shown = [
                 row[i] if i < len(row) else None
                 for row in rows
-                for i in range(width)
+                for i in range(columns)
             ]
         models = _built(shown)
         if out is not None or not meshcat:
