@@ -18,6 +18,9 @@ from xray_drake.search.record import ActionRecord
 PICTURES = (".png", ".pdf", ".svg")
 """How the name of a film strip's file may end."""
 
+_MARGIN = 16
+"""Pixels that are shown around the objects."""
+
 
 class FilmStrip:
     """An observer that keeps a frame of each decision.
@@ -29,6 +32,7 @@ class FilmStrip:
     def __init__(self) -> None:
         """Begins without frames."""
         self.frames: list[Frame] = []
+        self._objects = np.zeros((0, 0), bool)
 
     def decided(
         self, diagram: SearchDiagram, context: Context, action: SearchAction
@@ -56,12 +60,25 @@ class FilmStrip:
         self.frames[-1] = replace(last, note=f"{last.note}, {outcome}")
 
     def figure(self) -> Figure:
-        """Draws the frames.
+        """Draws the frames, cropped to where objects lay in any of them.
 
         Raises:
             ValueError: nothing has been decided.
         """
-        return film_strip_figure(self.frames)
+        rows, columns = (
+            _extent(self._objects.any(axis=axis)) for axis in (1, 0)
+        )
+        return film_strip_figure(
+            [
+                replace(
+                    frame,
+                    color=frame.color[rows, columns],
+                    occupancy=frame.occupancy[rows, columns],
+                    chosen=frame.chosen[rows, columns],
+                )
+                for frame in self.frames
+            ]
+        )
 
     def write(self, path: Path) -> None:
         """Writes the frames in the format that the file's name ends with.
@@ -90,6 +107,8 @@ class FilmStrip:
         color = look(f"{diagram.scenario.camera.name}.color_image").data
         rho = look("occupancy_inference.occupancy")
         instances = look("instance_segmenter.instances")
+        seen = instances.labels >= 0
+        self._objects = seen | self._objects if self.frames else seen
         mask = np.zeros(rho.data.shape, bool)
         if chosen in instances.names:
             mask = instances.mask(chosen)
@@ -102,3 +121,13 @@ class FilmStrip:
                 note=note,
             )
         )
+
+
+def _extent(occupied: np.ndarray) -> slice:
+    """Returns where an (n,) bool array is True, with a margin; all if none."""
+    (places,) = np.nonzero(occupied)
+    if not len(places):
+        return slice(None)
+    return slice(
+        max(int(places[0]) - _MARGIN, 0), int(places[-1]) + 1 + _MARGIN
+    )
