@@ -65,9 +65,7 @@ class FilmStrip:
         Raises:
             ValueError: nothing has been decided.
         """
-        rows, columns = (
-            _extent(self._objects.any(axis=axis)) for axis in (1, 0)
-        )
+        rows, columns = _extent(self._objects), _extent(self._objects.T)
         return film_strip_figure(
             [
                 replace(
@@ -123,11 +121,12 @@ class FilmStrip:
         )
 
 
-def _extent(occupied: np.ndarray) -> slice:
-    """Returns where an (n,) bool array is True, with a margin; all if none."""
-    (places,) = np.nonzero(occupied)
-    if not len(places):
+def _extent(mask: np.ndarray) -> slice:
+    """Returns the rows that an (H, W) bool mask is in, with a margin.
+
+    All, if it is blank.
+    """
+    rows, _ = np.nonzero(mask)
+    if not len(rows):
         return slice(None)
-    return slice(
-        max(int(places[0]) - _MARGIN, 0), int(places[-1]) + 1 + _MARGIN
-    )
+    return slice(max(int(rows.min()) - _MARGIN, 0), int(rows.max()) + _MARGIN)

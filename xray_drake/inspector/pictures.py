@@ -138,7 +138,7 @@ def _render(diagram: SearchDiagram, context: Context) -> np.ndarray:
     )
     core = RenderCameraCore(
         diagram.scenario.camera.renderer_name,
-        CameraInfo(840, 560, np.deg2rad(50.0)),
+        CameraInfo(840, 560, np.deg2rad(40.0)),
         ClippingRange(0.05, 5.0),
         RigidTransform(),
     )
