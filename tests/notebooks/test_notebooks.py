@@ -193,7 +193,7 @@ def test_contact_execution(
     assert "srcdoc" in page
     (written,) = tmp_path.glob("*/contact.html")
     assert written.stat().st_size > 1_000_000
-    assert f"{name}: failed, the jaw closed on nothing" in printed(notebook)
+    assert f"{name}: failed, the cup does not seal" in printed(notebook)
 
 
 def test_bring_your_own_objects(
