@@ -25,3 +25,20 @@ def test_the_example_of_a_test_passes(
     shown_test: Callable, recorded_observation: object
 ) -> None:
     shown_test(recorded_observation)
+
+
+def test_every_picture_is_there_and_has_a_command() -> None:
+    text = README.read_text(encoding="utf-8")
+    shown = set(re.findall(r"\]\(models/pictures/(\w+)\.png\)", text))
+    folder = README.parent / "models" / "pictures"
+    assert {path.stem for path in folder.glob("*.png")} == shown
+    section = text.split("## Pictures\n")[1].split("\n## ")[0]
+    named: set[str] = set()
+    for row in section.strip().splitlines()[2:]:
+        pictures, command = row.strip("| ").split(" | ")
+        assert re.search("`(python -m xray_drake|xray-drake) ?", command)
+        named |= set(re.findall(r"`(\w+)`", pictures))
+    assert named == shown
+    for path in folder.glob("*.png"):
+        # A page that loads at once.
+        assert path.stat().st_size < 400_000, path.name

@@ -91,6 +91,12 @@ def test_show_writes_a_sheet(tmp_path: Path) -> None:
     assert picture.shape == (2 * 190, 2 * 160, 3)
 
 
+def test_show_draws_as_small_as_asked(tmp_path: Path) -> None:
+    path = tmp_path / "sheet.png"
+    invoke("show", "chair_00[0-2]", "--size", "80", "--out", str(path))
+    assert cv2.imread(str(path)).shape == (110, 3 * 80, 3)
+
+
 def test_export(tmp_path: Path) -> None:
     folder = tmp_path / "some"
     told = invoke("export", str(folder), "chair_000", "carton_00*")

@@ -7,6 +7,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
+import cv2
 import pytest
 
 from tests.cli.running import answer
@@ -131,17 +132,29 @@ def test_bad_scenario_files(
         assert word in line
 
 
+def test_a_film_strip_is_a_picture(tmp_path: Path) -> None:
+    line = complaint("--film-strip", tmp_path / "film.mp4")
+    assert "film.mp4" in line
+    assert ".png" in line
+
+
+def test_a_film_strip_is_of_a_search_that_ends(tmp_path: Path) -> None:
+    line = complaint("--meshcat", "--film-strip", tmp_path / "film.png")
+    assert "--film-strip" in line
+    assert "leave out --meshcat" in line
+
+
 def test_a_scenario_file_that_is_not_text(tmp_path: Path) -> None:
     path = tmp_path / "picture.yaml"
     path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
     assert str(path) in complaint("--scenario", path)
 
 
-@pytest.mark.parametrize("option", ["--html", "--json"])
+@pytest.mark.parametrize("option", ["--html", "--json", "--film-strip"])
 def test_a_file_in_a_folder_that_does_not_exist(
     option: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "nowhere" / "file"
+    path = tmp_path / "nowhere" / "file.png"
     line = complaint(option, path)
     assert str(path.parent) in line
     assert "does not exist" in line
@@ -180,9 +193,11 @@ def test_options_replace_single_fields(small: Path) -> None:
 
 def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
     json_path, html_path = tmp_path / "a.json", tmp_path / "a.html"
+    film_path = tmp_path / "a.png"
     code, out, err = search(
-        "--scenario", small, "--json", json_path, "--html", html_path
-    )
+        "--scenario", small, "--json", json_path, "--html", html_path,
+        "--film-strip", film_path,
+    )  # fmt: skip
     # Whatever the outcome: here the horizon ends it before the target is out.
     assert (code, err) == (0, "")
     record = json.loads(json_path.read_text(encoding="utf-8"))
@@ -216,9 +231,12 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
     assert record["end"] in out
     assert str(json_path) in out.replace("\n", "")
     assert "<html" in html_path.read_text(encoding="utf-8")
+    # Frames beside each other, 3 inches each at 80 pixels.
+    assert cv2.imread(str(film_path)).shape[1] == 240 * len(actions)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "a.html",
         "a.json",
+        "a.png",
         "small.yaml",
     ]
 

@@ -5,8 +5,15 @@ import cv2
 import numpy as np
 import pytest
 
-from xray_drake.inspector.pictures import diagram_picture, heap_picture
-from xray_drake.search.diagram import SearchDiagram
+from xray_drake.inspector.pictures import (
+    contact_picture,
+    diagram_picture,
+    heap_picture,
+)
+from xray_drake.messages import GraspKind
+from xray_drake.scene.heap import Heap
+from xray_drake.search.diagram import SearchDiagram, build_search_diagram
+from xray_drake.testing.tiny import make_tiny_scenario
 
 
 def test_the_heap_the_distribution_and_the_choice(
@@ -46,3 +53,20 @@ def test_the_diagram(tiny_diagram: SearchDiagram, tmp_path: Path) -> None:
     image = cv2.imread(str(path))
     assert image.shape[1] > image.shape[0] > 100
     assert image.std() > 10
+
+
+def test_the_gripper_holds_something(tiny_heap: Heap) -> None:
+    scenario = make_tiny_scenario()
+    scenario.gripper.execution = "contact"
+    diagram = build_search_diagram(scenario, heap=tiny_heap)
+    picture = contact_picture(diagram, kind=GraspKind.JAW)
+    assert picture.shape == (560, 840, 3)
+    # The blue book is in the upper half, over the bin.
+    red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
+    is_book = (blue > red + 40) & (blue > green + 30)
+    assert is_book[:300, 200:640].sum() > 500
+
+
+def test_only_contact_shows_a_gripper(tiny_diagram: SearchDiagram) -> None:
+    with pytest.raises(ValueError, match="by contact"):
+        contact_picture(tiny_diagram)

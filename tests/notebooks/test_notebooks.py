@@ -9,6 +9,7 @@ from nbclient import NotebookClient
 from nbformat import NotebookNode
 
 import xray_drake
+from xray_drake.occupancy.networks.weights import read_card
 
 FOLDER = Path(__file__).parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -119,6 +120,80 @@ def test_replace_one_system(execute: Callable[[str], NotebookNode]) -> None:
     (table,) = [t for kind, t in shown(notebook) if kind == "text/markdown"]
     assert table.startswith("| step | highest first | X-Ray |")
     assert table.count("**") == 4
+
+
+def test_generate_train_evaluate(
+    execute: Callable[[str], NotebookNode], tmp_path: Path
+) -> None:
+    notebook = execute("05_generate_train_evaluate")
+    outputs = list(shown(notebook))
+    # Samples, their statistics, the curve, predictions.
+    assert [kind for kind, _ in outputs].count("image/png") == 4
+    text = printed(notebook)
+    assert "train: 18 images of 3 heaps" in text
+    assert "it is sound" in text
+    table, search = [t for kind, t in outputs if kind == "text/markdown"]
+    iou = {}
+    for line in table.splitlines():
+        images, predictor, _, cell, *_ = line.strip("| ").split(" | ")
+        if images.startswith("all, "):
+            iou[predictor] = float(cell.split()[0])
+    assert set(iou) == {"ours", "shipped", "exact"}
+    # A few steps of training make no network.
+    assert iou["ours"] < min(iou["shipped"], iou["exact"])
+    (weights,) = tmp_path.glob("*/run/weights.safetensors")
+    card = read_card(weights)
+    assert card.data["images used"] == 18
+    assert "of 2 actions" in search
+
+
+def test_compare_policies(
+    execute: Callable[[str], NotebookNode], tmp_path: Path
+) -> None:
+    notebook = execute("06_compare_policies")
+    outputs = list(shown(notebook))
+    # Rates, Figure 6, success within k actions, differences.
+    assert [kind for kind, _ in outputs].count("image/png") == 4
+    text = printed(notebook)
+    # Resumed: every variant searched each heap once.
+    assert "4 rollouts were there, 4 are new" in text
+    for seed in (0, 1):
+        for policy in ("random", "largest", "xray", "oracle"):
+            assert text.count(f"heap {seed}, {policy}: ") == 1
+    (lines,) = tmp_path.glob("*/rollouts.jsonl")
+    assert len(lines.read_text(encoding="utf-8").splitlines()) == 8
+    heaps, table, more = [t for kind, t in outputs if kind == "text/markdown"]
+    assert heaps.startswith("| seed | random | largest | xray (learned) |")
+    (row,) = [r for r in table.splitlines() if r.startswith("| xray")]
+    rate, _, rollouts, _, paper, quartiles = row.strip("| ").split(" | ")[1:]
+    assert (rollouts, paper, quartiles) == ("2", "82 %", "3, 5, 6")
+    # The rate is that of the table heap by heap.
+    cells = [r.split(" | ")[3] for r in heaps.splitlines()[2:]]
+    successes = sum(cell != "–" for cell in cells)
+    assert rate == f"{100 * successes / len(cells):.1f} %"
+    assert text.count("on 2 heaps") == 4
+    assert "## Time" in more
+
+
+def test_contact_execution(
+    execute: Callable[[str], NotebookNode], tmp_path: Path
+) -> None:
+    notebook = execute("07_contact_execution")
+    outputs = list(shown(notebook))
+    # The decision, the gauges, the gauges of the grasp that fails.
+    assert [kind for kind, _ in outputs].count("image/png") == 3
+    (record,) = [text for kind, text in outputs if kind == "text/markdown"]
+    (row,) = record.splitlines()[2:]
+    # The book, as the tiny heap's search lifts it, lies in the tote.
+    _, name, _, outcome, tote, seconds = row.strip("| ").split(" | ")
+    assert outcome.strip() == "lifted"
+    assert tote.strip() == name
+    assert 5 < float(seconds) < 20
+    (page,) = [text for kind, text in outputs if kind == "text/html"]
+    assert "srcdoc" in page
+    (written,) = tmp_path.glob("*/contact.html")
+    assert written.stat().st_size > 1_000_000
+    assert f"{name}: failed, the cup does not seal" in printed(notebook)
 
 
 def test_bring_your_own_objects(

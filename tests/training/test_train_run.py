@@ -1,3 +1,4 @@
+import csv
 import dataclasses
 import itertools
 from collections.abc import Callable
@@ -184,6 +185,13 @@ def test_a_run_writes_weights_that_inference_takes(
         )
         assert answer.data.shape == SHAPE
         assert 0 < answer.data.max() <= 1
+
+
+def test_a_short_run_logs_every_loss(whole: tuple[Path, NetworkCard]) -> None:
+    (log,) = (whole[0] / "logs").glob("*/metrics.csv")
+    with log.open(newline="", encoding="utf-8") as file:
+        losses = [row["train/loss"] for row in csv.DictReader(file)]
+    assert len([loss for loss in losses if loss]) == STEPS
 
 
 def test_the_card_says_what_was_trained_on_what(

@@ -98,6 +98,12 @@ def search(
     html: Annotated[
         Path | None, typer.Option(help="Write a page that plays the search.")
     ] = None,
+    film_strip: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw each decision as a picture here: PNG, PDF or SVG."
+        ),
+    ] = None,
     meshcat: Annotated[
         bool,
         typer.Option(
@@ -133,6 +139,7 @@ def search(
                 json=json,
                 html=html,
                 meshcat=meshcat,
+                film_strip=film_strip,
             ),
             Console(),
         )

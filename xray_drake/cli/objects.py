@@ -88,6 +88,10 @@ def show(
         int | None,
         typer.Option(min=1, help="So many of each family, one family a row."),
     ] = None,
+    size: Annotated[
+        int,
+        typer.Option(min=40, help="Of each object in the sheet, pixels."),
+    ] = 160,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -127,7 +131,7 @@ def show(
             ]
         models = _built(shown)
         if out is not None or not meshcat:
-            _write_sheet(models, out or Path("objects.png"), columns)
+            _write_sheet(models, out or Path("objects.png"), columns, size)
         if meshcat:
             _serve(models, columns)
 
@@ -253,7 +257,10 @@ def _built(names: Sequence[str | None]) -> list["ObjectModel | None"]:
 
 
 def _write_sheet(
-    models: Sequence["ObjectModel | None"], path: Path, columns: int
+    models: Sequence["ObjectModel | None"],
+    path: Path,
+    columns: int,
+    size: int,
 ) -> None:
     import cv2
 
@@ -264,7 +271,10 @@ def _write_sheet(
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("drawing", total=len(models))
         sheet = contact_sheet(
-            models, columns=columns, progress=lambda: bar.advance(task)
+            models,
+            columns=columns,
+            size=size,
+            progress=lambda: bar.advance(task),
         )
     _, data = cv2.imencode(".png", sheet[..., ::-1])
     path.write_bytes(data.tobytes())

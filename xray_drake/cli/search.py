@@ -12,6 +12,7 @@ from xray_drake.cli.configure import configure
 from xray_drake.cli.exits import INTERRUPTED
 from xray_drake.cli.progress import progress_bar
 from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
+from xray_drake.inspector.film_strip import PICTURES, FilmStrip
 from xray_drake.inspector.recording import record_search, write_html
 from xray_drake.inspector.session import InteractiveSearch
 from xray_drake.messages import SearchAction
@@ -30,7 +31,7 @@ class SearchOptions:
     Attributes:
         scenario: a name or a YAML file.
         overrides: see :func:`xray_drake.cli.options.overrides`.
-        json, html: files to write.
+        json, html, film_strip: files to write.
         meshcat: show it live.
     """
 
@@ -39,6 +40,13 @@ class SearchOptions:
     json: Path | None = None
     html: Path | None = None
     meshcat: bool = False
+    film_strip: Path | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is to be written."""
+        paths = (self.json, self.html, self.film_strip)
+        return tuple(path for path in paths if path is not None)
 
 
 class _Narrator:
@@ -99,24 +107,34 @@ def run(options: SearchOptions, console: Console) -> int:
         RuntimeError: the simulation failed, or no heap came to rest.
     """
     scenario = configure(options.scenario, options.overrides)
-    for path in (options.json, options.html):
+    strip = options.film_strip
+    if strip is not None and strip.suffix.lower() not in PICTURES:
+        raise ScenarioError(
+            f"no film strip can be written to {strip}: its name should end in "
+            f"{', '.join(PICTURES)}"
+        )
+    for path in options.files:
         check_output(path)
     narrator = _Narrator(console)
     if options.meshcat:
         return _run_live(scenario, options, narrator, console)
+    film = FilmStrip()
+    observers = (narrator, film) if strip is not None else (narrator,)
     heap = _drop(scenario, console)
     if options.html is None:
         diagram = build_search_diagram(scenario, heap=heap)
-        record = run_search(diagram, observers=(narrator,))
+        record = run_search(diagram, observers=observers)
     else:
         diagram = build_search_diagram(
             scenario, heap=heap, meshcat=start_meshcat()
         )
-        record, meshcat = record_search(diagram, observers=(narrator,))
+        record, meshcat = record_search(diagram, observers=observers)
     if options.json is not None:
         write_record(record, options.json)
     if options.html is not None:
         write_html(meshcat, options.html)
+    if strip is not None and film.frames:
+        film.write(strip)
     _summarize(record, options, console)
     return INTERRUPTED if record.end == "interrupted" else 0
 
@@ -127,10 +145,15 @@ def _run_live(
     narrator: _Narrator,
     console: Console,
 ) -> int:
-    if options.html is not None:
-        raise ScenarioError(
-            "--html records a search from end to end: leave out --meshcat"
-        )
+    for option, path in (
+        ("--html", options.html),
+        ("--film-strip", options.film_strip),
+    ):
+        if path is not None:
+            raise ScenarioError(
+                f"{option} records a search from end to end: leave out "
+                "--meshcat"
+            )
     meshcat = start_meshcat()
     console.print(
         f"open {meshcat.web_url()} and press run, step or new heap "
@@ -185,6 +208,6 @@ def _summarize(
         " → ".join(map(str, supports)),
     )
     console.print(table)
-    for path in (options.json, options.html):
-        if path is not None and path.exists():
+    for path in options.files:
+        if path.exists():
             console.print(f"wrote {path}", highlight=False)

@@ -212,7 +212,11 @@ def depth_on_disk(depth: np.ndarray) -> np.ndarray:
 
 
 def encode_depth(depth: np.ndarray) -> np.ndarray:
-    """Returns uint16 counts; see :func:`depth_on_disk`."""
+    """Returns (H, W) uint16 counts of :data:`METRES_PER_COUNT`.
+
+    Args:
+        depth: see :func:`depth_on_disk`.
+    """
     depth = np.asarray(depth, dtype=np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         counts = np.rint(depth / METRES_PER_COUNT)
@@ -221,7 +225,11 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 
 
 def decode_depth(counts: np.ndarray) -> np.ndarray:
-    """Returns float32 metres from uint16 counts."""
+    """Returns a depth image, float32, m, from its counts.
+
+    Args:
+        counts: (H, W) uint16, as of :func:`encode_depth`; 0: no reading.
+    """
     return counts.astype(np.float32) * np.float32(METRES_PER_COUNT)
 
 
@@ -238,7 +246,11 @@ def encode_occupancy(occupancy: np.ndarray) -> np.ndarray:
 
 
 def decode_occupancy(stored: np.ndarray) -> np.ndarray:
-    """Returns float32 in [0, 1] from uint8."""
+    """Returns a distribution, float32 in [0, 1], from what is stored.
+
+    Args:
+        stored: uint8 of any shape, as of :func:`encode_occupancy`.
+    """
     return stored.astype(np.float32) / np.float32(255)
 
 

@@ -25,21 +25,36 @@ class SampleLike(Protocol):
     """What a figure needs of a sample; see ``xray_drake.dataset.sample``."""
 
     @property
-    def depth(self) -> np.ndarray: ...  # noqa: D102
+    def depth(self) -> np.ndarray:
+        """(H, W) z-depth, m; 0 where there is no reading."""
+
     @property
-    def target_modal(self) -> np.ndarray: ...  # noqa: D102
+    def target_modal(self) -> np.ndarray:
+        """(H, W) bool mask of what is seen of the target."""
+
     @property
-    def target_amodal(self) -> np.ndarray: ...  # noqa: D102
+    def target_amodal(self) -> np.ndarray:
+        """(H, W) bool mask of the whole target."""
+
     @property
-    def instances(self) -> np.ndarray: ...  # noqa: D102
+    def instances(self) -> np.ndarray:
+        """(H, W) instances: 0 background, 1 target, then the others."""
+
     @property
-    def occupancy(self) -> np.ndarray: ...  # noqa: D102
+    def occupancy(self) -> np.ndarray:
+        """(H, W) label in [0, 1]."""
+
     @property
-    def color(self) -> np.ndarray | None: ...  # noqa: D102
+    def color(self) -> np.ndarray | None:
+        """(H, W, 3) uint8 RGB, if there is one."""
+
     @property
-    def visible_fraction(self) -> float: ...  # noqa: D102
+    def visible_fraction(self) -> float:
+        """Visible share of the target's amodal mask."""
+
     @property
-    def key(self) -> object: ...  # noqa: D102
+    def key(self) -> object:
+        """What ``str`` makes a title of."""
 
 
 def sample_figure(samples: Sequence[SampleLike]) -> Figure:

@@ -92,7 +92,14 @@ class Judge(Protocol):
         X_WG_perturbed: np.ndarray,
         friction: float,
     ) -> JudgedGrasp:
-        """Returns a quality of 0 and a reason, or the quality."""
+        """Returns a quality of 0 and a reason, or the quality.
+
+        Args:
+            grasp: as planned.
+            poses: object name to its 4×4 pose X_WO as it lies, m.
+            X_WG_perturbed: 4×4 pose of the grasp frame as executed, m.
+            friction: Coulomb coefficient as it is, not as it was planned with.
+        """
 
 
 class _Phase(Enum):

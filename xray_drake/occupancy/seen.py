@@ -160,11 +160,12 @@ class AcceptanceRule:
     def accepted(
         self, common: torch.Tensor, area: torch.Tensor, slack: float = 0.0
     ) -> torch.Tensor:
-        """Returns which candidates are accepted.
+        """Returns which candidates are accepted, (n,) bool.
 
         Args:
-            common: pixels of each predicted modal mask within the observed.
-            area: pixels of each predicted modal mask.
+            common: (n,) pixels of each predicted modal mask within the
+                observed.
+            area: (n,) pixels of each predicted modal mask.
             slack: taken off each share that is asked for.
         """
         config = self.config

@@ -107,7 +107,7 @@ class StandingTarget:
         Within them it keeps inside the bin's walls.
 
         Args:
-            turned: what :meth:`turned` gave.
+            turned: (n, 3) points, m: what :meth:`turned` gave.
             floor: inside of the bin.
             slack: how far it may reach beyond, m.
         """

@@ -14,6 +14,13 @@ def oracle(view: SearchView, rng: np.random.Generator) -> np.ndarray:
     can reach, since it neither knows what a removal will move nor which grasp
     will hold.
 
+    Args:
+        view: what is seen, and the truth.
+        rng: see :func:`~xray_drake.policy.ranking.xray`.
+
+    Returns:
+        (n, 3) scores, as of :func:`~xray_drake.policy.ranking.xray`.
+
     Raises:
         ValueError: the view does not say where the target is.
     """

@@ -40,8 +40,13 @@ class SeenGraspPlanner(Protocol):
     ) -> Grasp:
         """Returns the best grasp found; of kind NONE if there is none.
 
-        ``excluded`` are grasps by their poses in the world, whatever object
-        they are called of.
+        Args:
+            object_name: what the grasp is called to be of.
+            mask: (H, W) bool, what is seen of the object.
+            depth: (H, W) z-depth, m; 0 where there is no reading.
+            camera: of both images.
+            excluded: grasps by their poses in the world, whatever object they
+                are called of.
         """
 
 

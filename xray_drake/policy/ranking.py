@@ -106,6 +106,14 @@ def xray(view: SearchView, rng: np.random.Generator) -> np.ndarray:
     the whole target is seen but its neighbours are in the way of the fingers.
     Here the object nearest to the support is next then, and where there is no
     support, the largest.
+
+    Args:
+        view: what is seen.
+        rng: not used.
+
+    Returns:
+        (n, 3) scores: the sum; minus the distance to the support, pixels; the
+        visible pixels.
     """
     masks = [view.instances.mask(name) for name in view.candidates]
     rho = view.occupancy.data
@@ -128,7 +136,7 @@ def xray(view: SearchView, rng: np.random.Generator) -> np.ndarray:
 
 
 def largest(view: SearchView, rng: np.random.Generator) -> np.ndarray:
-    """Largest: visible pixels (Danielczuk et al. 2019)."""
+    """Largest: visible pixels (Danielczuk et al. 2019), (n, 1) scores."""
     areas = dict(zip(view.instances.names, view.instances.areas(), strict=True))
     return np.array([[float(areas[name])] for name in view.candidates]).reshape(
         -1, 1
@@ -136,7 +144,7 @@ def largest(view: SearchView, rng: np.random.Generator) -> np.ndarray:
 
 
 def random(view: SearchView, rng: np.random.Generator) -> np.ndarray:
-    """Random: uniform over the candidates (Danielczuk et al. 2019)."""
+    """Random: uniform (Danielczuk et al. 2019), (n, 1) scores in [0, 1)."""
     return rng.uniform(size=(len(view.candidates), 1))
 
 

@@ -44,7 +44,11 @@ class Solid:
         )
 
     def stretched(self, factors: Sequence[float] | np.ndarray) -> "Solid":
-        """Returns the solid stretched along x, y and z about the origin."""
+        """Returns the solid stretched about the origin.
+
+        Args:
+            factors: (3,) along x, y and z.
+        """
         return Solid(
             tuple(mesh.copy().apply_scale(factors) for mesh in self.surfaces),
             tuple(hull * np.asarray(factors) for hull in self.hulls),
@@ -95,7 +99,14 @@ def box(
     height: float,
     center: Sequence[float] | np.ndarray = (0, 0, 0),
 ) -> Solid:
-    """Returns a box of the given x, y and z size about ``center``, m."""
+    """Returns a box along the axes.
+
+    Args:
+        length: along x, m.
+        width: along y, m.
+        height: along z, m.
+        center: (3,) of it, m.
+    """
     mesh = trimesh.creation.box((length, width, height))
     mesh.apply_translation(center)
     return Solid((mesh,), (np.array(mesh.vertices),))

@@ -40,7 +40,15 @@ def robust_loss(logits: Tensor, label: Tensor) -> Tensor:
 
 
 def mse_loss(output: Tensor, label: Tensor) -> Tensor:
-    """Returns the mean squared error over pixels and images (section IV.B)."""
+    """Returns the mean squared error over pixels and images (section IV.B).
+
+    Args:
+        output: (B, h, w), what the network says.
+        label: (B, h, w), times ``label_scale``.
+
+    Returns:
+        A scalar, of shape ().
+    """
     return functional.mse_loss(output, label)
 
 

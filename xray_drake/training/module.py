@@ -114,7 +114,7 @@ class CompactTraining(OccupancyTraining):
         self._mass: list[Tensor] = []
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
-        """Returns the loss of one batch, mirrored at random."""
+        """Returns the loss of one batch, mirrored at random; of shape ()."""
         *images, sizes, real = batch
         axes = self.flipped_axes()
         fine, coarse, labels = (image.flip(axes) for image in images)

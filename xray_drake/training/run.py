@@ -28,6 +28,12 @@ from xray_drake.training.prepare import plan, prepare
 Progress = Callable[[int, int], None]
 """Is told of prepared shards, done and of all."""
 
+_LOG_EVERY = 50
+"""Steps between two entries of the log."""
+
+_FEWEST_LOGGED = 100
+"""A short run logs more often, so that its loss makes a curve."""
+
 CHECKPOINT = "last.ckpt"
 WEIGHTS = "weights.safetensors"
 CARD = "card.md"
@@ -91,7 +97,7 @@ def train(
     module, data = make(net, datasets, config, options, prepared)
     steps = _steps(data, options)
     try:
-        trainer = _trainer(config, options, data.epochs)
+        trainer = _trainer(config, options, data.epochs, steps)
     except MisconfigurationException as error:
         raise TrainingError(str(error)) from error
     _fit(trainer, module, data, options)
@@ -218,7 +224,7 @@ def _open_run(options: RunOptions) -> None:
 
 
 def _trainer(
-    config: TrainConfig, options: RunOptions, epochs: int
+    config: TrainConfig, options: RunOptions, epochs: int, steps: int
 ) -> lightning.Trainer:
     best = ModelCheckpoint(
         dirpath=options.out,
@@ -246,7 +252,7 @@ def _trainer(
         callbacks=callbacks,
         enable_progress_bar=options.progress,
         enable_model_summary=False,
-        log_every_n_steps=50,
+        log_every_n_steps=max(1, min(_LOG_EVERY, steps // _FEWEST_LOGGED)),
         num_sanity_val_steps=0,
     )
 

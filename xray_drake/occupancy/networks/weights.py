@@ -201,8 +201,12 @@ def save_weights(
 def load_weights(path: Path) -> tuple[dict[str, Tensor], NetworkCard]:
     """Reads weights and card.
 
+    Args:
+        path: of a file of :func:`save_weights`.
+
     Returns:
-        the state dict, on the CPU, floats as float32; and the card.
+        The state dict (name to tensor, of the network's shapes), on the CPU,
+        floats as float32; and the card.
 
     Raises:
         WeightsError: there is no such file, it is damaged, it is none of ours,

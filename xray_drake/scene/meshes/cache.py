@@ -40,7 +40,10 @@ def content_key(paths: list[Path], settings: str) -> str:
 
 
 def read_arrays(folder: Path, key: str) -> dict[str, np.ndarray] | None:
-    """Reads what was kept; ``None`` if it is missing or damaged."""
+    """Reads what was kept: name to array, shaped as it was written.
+
+    ``None`` if it is missing or damaged.
+    """
     path = folder / f"{key}.npz"
     try:
         with np.load(path, allow_pickle=False) as file:

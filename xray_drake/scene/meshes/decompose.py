@@ -73,7 +73,15 @@ def convex_pieces(
 def simplified_pieces(
     pieces: list[np.ndarray], max_vertices: int
 ) -> list[np.ndarray]:
-    """Gives each piece few vertices and, where it can, its volume back."""
+    """Gives each piece few vertices and, where it can, its volume back.
+
+    Args:
+        pieces: (n, 3) vertices of each convex piece, m.
+        max_vertices: of a piece.
+
+    Returns:
+        The same, each of at most (``max_vertices``, 3).
+    """
     return [
         grown_to(simplified_hull(piece, max_vertices), hull_volume(piece))
         if len(piece) > max_vertices

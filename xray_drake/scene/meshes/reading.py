@@ -108,7 +108,10 @@ def closed_surface(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
 
 
 def convex_components(mesh: trimesh.Trimesh) -> list[np.ndarray]:
-    """Returns the connected parts' hull vertices if all are convex, else []."""
+    """Returns the connected parts' hulls if all are convex, else [].
+
+    Each as its (n, 3) vertices, in the mesh's unit.
+    """
     parts = mesh.split(only_watertight=False)
     if not 2 <= len(parts) <= 64:
         return []

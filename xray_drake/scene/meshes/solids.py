@@ -50,7 +50,7 @@ def union(pieces: Iterable[np.ndarray]) -> manifold3d.Manifold:
 
 
 def parts(made: manifold3d.Manifold) -> list[np.ndarray]:
-    """Returns the hull vertices of each connected part that has a volume."""
+    """Returns the (n, 3) hull vertices, m, of each part that has a volume."""
     hulls = []
     for part in made.decompose():
         if part.hull().volume() > SMALLEST_PIECE:

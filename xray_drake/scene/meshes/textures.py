@@ -70,7 +70,11 @@ def mean_color(textured: TexturedMesh) -> np.ndarray:
 
 
 def is_red(color: np.ndarray) -> bool:
-    """Says whether red, green, blue in [0, 1] would pass for a target's."""
+    """Says whether a colour would pass for a target's.
+
+    Args:
+        color: (3,) red, green, blue in [0, 1].
+    """
     hue, saturation, _ = _hsv(np.asarray(color, dtype=np.float32)[None, None])[
         0, 0
     ]
