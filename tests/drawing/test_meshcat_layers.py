@@ -85,6 +85,9 @@ def test_the_camera_looks_into_the_bin(meshcat: Meshcat) -> None:
     x, y, z = prop(meshcat, "/Cameras/default/rotated/<object>", "position")
     assert y > 0.3, "above the bin"
     assert np.hypot(x, z) < 1.2, "near it"
+    look_at_bin(meshcat, from_afar=True)
+    farther = prop(meshcat, "/Cameras/default/rotated/<object>", "position")
+    assert np.linalg.norm(farther) > 1.3 * np.linalg.norm([x, y, z])
 
 
 def test_occupancy_lies_on_the_heap(

@@ -162,7 +162,7 @@ def _run_live(
     )
     session = InteractiveSearch(scenario, meshcat, observers=(narrator,))
     session.new_heap(scenario.seed)
-    look_at_bin(meshcat)
+    look_at_bin(meshcat, from_afar=scenario.gripper.execution == "contact")
     session.loop()
     record = session.record
     if record is not None:

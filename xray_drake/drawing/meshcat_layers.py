@@ -50,11 +50,17 @@ def start_meshcat(port: int | None = None) -> Meshcat:
     return Meshcat(params)
 
 
-def look_at_bin(meshcat: Meshcat) -> None:
-    """Sets the camera, and hides what hides the heap."""
-    meshcat.SetCameraPose(
-        camera_in_world=[0.06, -0.33, 0.47], target_in_world=[0.08, 0.03, 0.0]
-    )
+def look_at_bin(meshcat: Meshcat, *, from_afar: bool = False) -> None:
+    """Sets the camera, and hides what hides the heap.
+
+    Args:
+        meshcat: whose camera.
+        from_afar: the gripper over the bin and the whole tote are in view, too.
+    """
+    eye, middle = [0.06, -0.33, 0.47], [0.08, 0.03, 0.0]
+    if from_afar:
+        eye, middle = [0.27, -0.64, 0.60], [0.26, 0.06, 0.11]
+    meshcat.SetCameraPose(camera_in_world=eye, target_in_world=middle)
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])

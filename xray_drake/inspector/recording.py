@@ -33,7 +33,8 @@ def record_search(
         raise ValueError(
             "the diagram has no Meshcat: build it with meshcat=start_meshcat()"
         )
-    look_at_bin(meshcat)
+    by_contact = diagram.scenario.gripper.execution == "contact"
+    look_at_bin(meshcat, from_afar=by_contact)
     drawing = SearchDrawing(meshcat, recording=True)
     meshcat.StartRecording(
         frames_per_second=1 / diagram.scenario.visualization.publish_period,
