@@ -47,7 +47,8 @@ class Recorder:
 
 def stripped(record: SearchRecord) -> dict[str, Any]:
     data = record.to_dict()
-    del data["policy"]
+    name = data.pop("policy")
+    data["scenario"] = data["scenario"].replace(f"\n  name: {name}", "")
     for action in data["actions"]:
         del action["seconds"]
     return data
