@@ -132,6 +132,8 @@ def test_plans_that_cannot_be() -> None:
         plan(targets=("cat",))
     with pytest.raises(ValueError, match="views_per_heap"):
         plan(views_per_heap=0)
+    with pytest.raises(ValueError, match="3 objects has no 3 different"):
+        plan(snapshots=3)
 
 
 def test_a_shard_holds_whole_heaps() -> None:

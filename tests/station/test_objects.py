@@ -12,6 +12,7 @@ from xray_drake.station.objects import (
     choose_objects,
     imported_objects,
     make_heap,
+    snapshot_counts,
     truncated_poisson,
 )
 from xray_drake.station.scenario import (
@@ -288,6 +289,23 @@ def test_meshes_in_another_unit(tmp_path: Path) -> None:
     given.scene.mesh_scale = 1e-3
     (model,) = imported_objects(given).values()
     assert max(model.extents) == pytest.approx(0.05)
+
+
+def test_numbers_of_snapshots() -> None:
+    assert snapshot_counts(0, 1) == ()
+    assert snapshot_counts(12, 1) == ()
+    assert snapshot_counts(12, 3) == (8, 10)
+    assert snapshot_counts(3, 2) == (2,)
+    for number in range(30):
+        for snapshots in range(2, 12):
+            try:
+                counts = snapshot_counts(number, snapshots)
+            except ValueError:
+                assert number < 2 * snapshots
+                continue
+            assert len(counts) == snapshots - 1
+            assert list(counts) == sorted(set(counts))
+            assert number / 2 - 1 < counts[0] and counts[-1] < number
 
 
 def test_snapshots_are_spread_over_the_growth() -> None:

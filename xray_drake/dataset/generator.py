@@ -28,7 +28,11 @@ from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 from xray_drake.seeding import stream
 from xray_drake.splits import SPLITS
-from xray_drake.station.objects import imported_objects, make_heap
+from xray_drake.station.objects import (
+    imported_objects,
+    make_heap,
+    snapshot_counts,
+)
 from xray_drake.station.scenario import (
     Scenario,
     dump_scenario,
@@ -99,7 +103,8 @@ def plan_dataset(
         label: one of ``LABELS``.
 
     Raises:
-        ValueError: a number below 1, or a target or label that does not exist.
+        ValueError: a number below 1, a target or label that does not exist,
+            or more snapshots than a small heap has.
     """
     if label not in LABELS:
         raise ValueError(
@@ -108,6 +113,14 @@ def plan_dataset(
     targets = targets or (scenario.scene.target,)
     for target in targets:
         target_model(target)
+    scene = scenario.scene
+    random = scene.random_number
+    for number in (
+        range(random.least, random.most + 1)
+        if random.mean > 0.0
+        else [scene.num_objects]
+    ):
+        snapshot_counts(number, max(snapshots, 1))
     per_heap = max(views_per_heap * snapshots, 1)
     return Manifest(
         seed=seed,

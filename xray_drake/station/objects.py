@@ -178,6 +178,29 @@ def _heap_seed(seed: int, redrawn: int) -> int:
     return int(stream(seed, "redraw", redrawn).integers(2**62))
 
 
+def snapshot_counts(num_objects: int, snapshots: int) -> tuple[int, ...]:
+    """Returns how many objects lie in the bin when a heap is remembered.
+
+    Evenly from half of them on; the last time, when all are at rest, is left
+    out.
+
+    Args:
+        num_objects: of the whole heap.
+        snapshots: how often it is remembered.
+
+    Raises:
+        ValueError: there are too few objects for so many.
+    """
+    counts = np.linspace(num_objects / 2, num_objects, snapshots + 1)[1:-1]
+    numbers = tuple(int(count) for count in counts)
+    if numbers and len({0, *numbers, num_objects}) < snapshots + 1:
+        raise ValueError(
+            f"a heap of {num_objects} objects has no {snapshots} different "
+            "snapshots: take more objects, or fewer snapshots"
+        )
+    return numbers
+
+
 def _drop(
     scenario: Scenario,
     library: Mapping[str, ObjectModel] | None,
@@ -185,14 +208,13 @@ def _drop(
     progress: Callable[[float], None] | None,
 ) -> Heap:
     objects = choose_objects(scenario, library)
-    counts = np.linspace(len(objects) / 2, len(objects), snapshots + 1)[1:]
     return drop_heap(
         target_model(scenario.scene.target),
         objects,
         scenario.seed,
         config=scenario.scene.heap,
         contact=scenario.scene.contact,
-        snapshots={int(count) for count in counts[:-1]} - {0},
+        snapshots=snapshot_counts(len(objects), snapshots),
         plant_config=scenario.plant_config,
         progress=progress,
     )
