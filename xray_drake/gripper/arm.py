@@ -16,6 +16,11 @@ from xray_drake.messages import Message
 READY = np.deg2rad([0.0, -60.0, 0.0, 10.0, 0.0, 60.0, 0.0])
 """Somewhere in the middle of the arm's reach."""
 
+_HOME = np.deg2rad([103.0, -108.0, -111.0, 53.0, 63.0, 88.0, -69.0])
+_HOME_PLACE = (0.52, 0.0)
+"""At home the tool points down over the tote, out of the camera's view: near
+these joint positions, and there along x and y, m."""
+
 _SEEDS = 12
 """Joint positions that inverse kinematics begins at."""
 
@@ -47,6 +52,9 @@ _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 _TURNING_RADIUS = (0.22, 0.34)
 """So near axis 1 is the tool while the arm turns: it passes base and posts, m."""
 
+_HEADROOM = 0.18
+"""The tool stays so far below the base, where the arm has room to fold, m."""
+
 _NEAR_ENOUGH = 0.01
 """What is released this much higher than wanted is set down, too, m."""
 
@@ -77,6 +85,16 @@ class Arm(Message):
         return "arm"
 
     @property
+    def stiffness(self) -> np.ndarray:
+        """The (7,) stiffness of the position control, N·m/rad."""
+        return self.cell.stiffness
+
+    @property
+    def highest(self) -> float:
+        """The tool's origin is carried about no higher than this, m."""
+        return float(MOUNT[2, 3]) - _HEADROOM
+
+    @property
     def velocity(self) -> np.ndarray:
         """The (7,) highest speeds, rad/s."""
         return self.cell.velocity
@@ -85,6 +103,16 @@ class Arm(Message):
     def acceleration(self) -> np.ndarray:
         """The (7,) highest accelerations, rad/s²."""
         return self.cell.acceleration
+
+    @cached_property
+    def home(self) -> np.ndarray:
+        """The (7,) joint positions in which the arm waits."""
+        X_WT = np.diag([1.0, -1.0, -1.0, 1.0])
+        X_WT[:3, 3] = *_HOME_PLACE, self.highest
+        q = self._newton(X_WT, _HOME)
+        if q is None:
+            raise ReachError("the arm cannot be at home")
+        return q
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the 4×4 pose X_WT at joint positions (7,)."""
@@ -116,13 +144,18 @@ class Arm(Message):
             if len(chains) == _CHAINS:
                 break
         if chains:
-            return min(chains, key=lambda c: np.abs(c[-1] - near)[1:].max())
+            return min(chains, key=lambda c: self._turning(near, c[-1]))
         p = ", ".join(f"{x:.2f}" for x in poses[0][:3, 3])
         if not reached:
             raise ReachError(f"out of the arm's reach: tool at ({p}) m")
         raise ReachError(
             f"out of the arm's reach: straight on from the tool at ({p}) m"
         )
+
+    def _turning(self, start: np.ndarray, end: np.ndarray) -> float:
+        """Returns how far joints turn, beside the arm as a whole, rad."""
+        facing = self._facing(start, self.pose(end))
+        return float(np.abs(end - facing).max())
 
     def _chain(
         self, q: np.ndarray, poses: Sequence[np.ndarray]
@@ -261,6 +294,7 @@ class Arm(Message):
     ) -> Iterator[np.ndarray]:
         """Yields joint positions at a pose, clear of all else."""
         found: list[np.ndarray] = []
+        near = self._facing(near, X_WT)
         for seed in (near, READY, *self._seeds):
             q = self.cell.solve(X_WT, near, seed)
             if q is None:
@@ -271,6 +305,15 @@ class Arm(Message):
             found.append(q)
             if self.cell.is_clear(q):
                 yield q
+
+    def _facing(self, q: np.ndarray, X_WT: np.ndarray) -> np.ndarray:
+        """Returns q with the arm as a whole turned towards a pose."""
+        turns = self._turns(_azimuth(self.pose(q)[:3, 3]), X_WT, q)
+        if not turns:
+            return q
+        q = np.array(q)
+        q[0] -= turns[0]
+        return q
 
     def _newton(
         self, X_WT: np.ndarray, q: np.ndarray, draw: _Draw | None = None
@@ -335,9 +378,7 @@ class Arm(Message):
         """
         X_0, X_1 = self.pose(start), self.pose(end)
         shares = _shares(X_0, X_1)
-        knots = self._along(
-            start, end, [_between(X_0, X_1, s) for s in shares]
-        )
+        knots = self._along(start, end, [_between(X_0, X_1, s) for s in shares])
         if knots is None:
             raise ReachError("out of the arm's reach: no straight way")
         return knots
@@ -348,10 +389,14 @@ class Arm(Message):
         The arm turns as a whole, and draws the tool in or puts it out
         meanwhile, so that what hangs on it stays level; whatever else is
         different at the end changes evenly. Of the two ways round it is one
-        that is clear; where neither is, the joints go straight.
+        that is clear, if there is; where there is neither, the joints go
+        straight.
         """
-        for turn in self._turns(start, end):
-            knots = self._turned(start, self.pose(end), turn)
+        ways = []
+        X_0, X_1 = self.pose(start), self.pose(end)
+        turns = self._turns(_azimuth(X_0[:3, 3]), X_1, start)
+        for turn in sorted(turns, key=lambda a: abs(start[0] - a - end[0])):
+            knots = self._turned(start, X_1, turn)
             if knots is None:
                 continue
             share = np.linspace(0, 1, len(knots))
@@ -359,21 +404,31 @@ class Arm(Message):
             knots = knots + np.outer(blend, end - knots[-1])
             if self._is_clear(knots):
                 return knots
+            ways.append(knots)
+        if ways:
+            return ways[0]
         number = max(int(np.ceil(np.abs(end - start).max() / _TURN)), 4)
         return np.linspace(start, end, number + 1)
 
-    def _turns(self, start: np.ndarray, end: np.ndarray) -> list[float]:
-        """Returns angles about the vertical that axis 1 can turn, rad."""
-        before, after = (
-            _azimuth(self.pose(q)[:3, 3]) for q in (start, end)
-        )
-        turn = (after - before + np.pi) % (2 * np.pi) - np.pi
-        found = []
-        for angle in (turn, turn - np.sign(turn) * 2 * np.pi):
-            q = start[0] - angle  # Axis 1 points down.
-            if self.cell.lower[0] < q < self.cell.upper[0]:
-                found.append(angle)
-        return sorted(found, key=lambda angle: abs(start[0] - angle - end[0]))
+    def _turns(
+        self, azimuth: float, X_WT: np.ndarray, q: np.ndarray
+    ) -> list[float]:
+        """Returns angles that axis 1 can turn by, to a pose, rad.
+
+        Args:
+            azimuth: where the tool is, rad.
+            X_WT: 4×4, where it is to be.
+            q: (7,) joint positions.
+        """
+        turn = _azimuth(X_WT[:3, 3]) - azimuth
+        turn = (turn + np.pi) % (2 * np.pi) - np.pi
+        both = turn, turn - np.sign(turn) * 2 * np.pi
+        # Axis 1 points down.
+        return [
+            angle
+            for angle in both
+            if self.cell.lower[0] < q[0] - angle < self.cell.upper[0]
+        ]
 
     def _turned(
         self, start: np.ndarray, X_WT: np.ndarray, turn: float
@@ -407,7 +462,7 @@ class Arm(Message):
             X[:3, :3] = R @ X_0[:3, :3]
             guess = np.array(q)
             guess[0] -= turn / number
-            nearest = self._newton(X, guess)
+            nearest = self._newton(X, guess, self._to_middle)
             if nearest is None or np.abs(nearest - q).max() > _JUMP:
                 return None
             q = nearest

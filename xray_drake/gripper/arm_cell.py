@@ -3,7 +3,11 @@
 import itertools
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    GeometrySet,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.parsing import Parser
@@ -24,7 +28,7 @@ JOINTS = ("1", "2", "7", "3", "4", "5", "6")
 """The arm's axes as ABB numbers them, in the order of all vectors here: rad."""
 
 MOUNT = np.array(
-    [[-1.0, 0, 0, 0.28], [0, 1.0, 0, 0], [0, 0, -1.0, 0.55], [0, 0, 0, 1]]
+    [[-1.0, 0, 0, 0.28], [0, 1.0, 0, 0], [0, 0, -1.0, 0.60], [0, 0, 0, 1]]
 )
 """Pose X_WA of the arm's base, 4×4: axis 1 points down over the gap between bin
 and tote. The arm is too short to reach over both from beside them; from there
@@ -81,9 +85,7 @@ class ArmCell:
         (hand,) = parser.AddModelsFromUrl(
             f"package://{PACKAGE_NAME}/gripper/yumi_gripper.sdf"
         )
-        plant.WeldFrames(
-            self._tool, plant.GetFrameByName("gripper_base", hand)
-        )
+        plant.WeldFrames(self._tool, plant.GetFrameByName("gripper_base", hand))
         plant.Finalize()
         joints = [plant.GetJointByName(f"arm_{name}", arm) for name in JOINTS]
         self.lower = np.concatenate([j.position_lower_limits() for j in joints])
@@ -109,7 +111,7 @@ class ArmCell:
         self._query = plant.get_geometry_query_input_port()
         self._q = plant.GetPositions(self._context)
 
-    def _filter(self, scene_graph) -> None:  # noqa: ANN001
+    def _filter(self, scene_graph: SceneGraph) -> None:
         """Leaves the pairs that tell something of the arm.
 
         Whether the gripper touches something in the bin is the grasp

@@ -7,6 +7,9 @@ import numpy as np
 
 from xray_drake.gripper.paths import Leg, Path
 
+CARRIERS = ("wrist", "arm")
+"""What can carry the gripper; the first is the default."""
+
 
 class ReachError(ValueError):
     """A pose that a carrier cannot take; the message is one line."""
@@ -22,6 +25,22 @@ class Carrier(Protocol):
     @property
     def name(self) -> str:
         """What messages call it."""
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """The (n,) highest speeds of its joints, m/s or rad/s."""
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """The (n,) highest accelerations, m/s² or rad/s²."""
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """The (n,) stiffness of the position control, N/m or N·m/rad."""
+
+    @property
+    def highest(self) -> float:
+        """The tool's origin is carried about no higher than this, m."""
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the pose X_WT at joint positions."""
@@ -57,7 +76,12 @@ class Carrier(Protocol):
         """
 
     def over(
-        self, q: np.ndarray, p_T: np.ndarray, place: np.ndarray
+        self,
+        q: np.ndarray,
+        p_T: np.ndarray,
+        place: np.ndarray,
+        *,
+        lowest: float,
     ) -> np.ndarray:
         """Returns q with a point of the tool over a place.
 
@@ -67,6 +91,7 @@ class Carrier(Protocol):
             q: joint positions.
             p_T: (3,) the point in the tool frame, m.
             place: (2,) in the world, m.
+            lowest: height that the tool's origin is to come down to there, m.
 
         Raises:
             ReachError: beyond its reach.

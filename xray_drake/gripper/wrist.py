@@ -46,6 +46,11 @@ class Wrist(Message):
         """What messages call it."""
         return "wrist"
 
+    @property
+    def highest(self) -> float:
+        """The tool's origin is carried about no higher than this, m."""
+        return float(self.upper[_UP])
+
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the 4×4 pose X_WT at joint positions (6,)."""
         X_WT = np.eye(4)
@@ -101,7 +106,12 @@ class Wrist(Message):
         return q
 
     def over(
-        self, q: np.ndarray, p_T: np.ndarray, place: np.ndarray
+        self,
+        q: np.ndarray,
+        p_T: np.ndarray,
+        place: np.ndarray,
+        *,
+        lowest: float,
     ) -> np.ndarray:
         """Returns q with a point of the tool over a place, or as near as it is.
 
@@ -109,6 +119,7 @@ class Wrist(Message):
             q: (6,) joint positions.
             p_T: (3,) the point in the tool frame, m.
             place: (2,) in the world, m.
+            lowest: for other carriers; a wrist comes down anywhere.
         """
         q = np.array(q)
         X_WT = self.pose(q)
