@@ -9,7 +9,7 @@ from pydrake.trajectories import CompositeTrajectory
 from scipy.spatial.transform import Rotation
 
 from xray_drake.gripper.arm_cell import MOUNT, ArmCell
-from xray_drake.gripper.carrier import ReachError
+from xray_drake.gripper.carrier import Lag, ReachError
 from xray_drake.gripper.paths import Leg, Path, timed_curve
 from xray_drake.messages import Message
 
@@ -50,7 +50,7 @@ _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 """The tool is turned by so much more than the arm, tried in this order."""
 
 _TURNING_RADIUS = (0.22, 0.34)
-"""So near axis 1 is the tool while the arm turns: it passes base and posts, m."""
+"""So near axis 1 is the tool while the arm turns, to pass base and posts, m."""
 
 _HEADROOM = 0.18
 """The tool stays so far below the base, where the arm has room to fold, m."""
@@ -242,10 +242,15 @@ class Arm(Message):
             and q[0] - turn - full - more < self.cell.upper[0]
         ]
 
-    def force(self, q: np.ndarray, lag: np.ndarray) -> np.ndarray:
-        """Returns the (3,) force of the position control at the tool, N."""
-        J = self.cell.jacobian(q)
-        wrench, *_ = np.linalg.lstsq(J.T, self.cell.stiffness * lag)
+    def force(self, lag: Lag) -> np.ndarray:
+        """Returns the (3,) force that the tool presses with, N.
+
+        What the drives exert without what it takes to accelerate the arm.
+        """
+        cell = self.cell
+        torque = cell.stiffness * lag.position + cell.damping * lag.velocity
+        torque = torque - cell.mass_matrix(lag.q) @ lag.acceleration
+        wrench, *_ = np.linalg.lstsq(cell.jacobian(lag.q).T, torque)
         return wrench[3:]
 
     def path(

@@ -71,6 +71,7 @@ class ArmCell:
         velocity: (7,) highest speeds, rad/s.
         acceleration: (7,) highest accelerations, rad/s².
         stiffness: (7,) of the position control, N·m/rad.
+        damping: (7,) of the position control, N·m·s/rad.
     """
 
     def __init__(self) -> None:
@@ -96,14 +97,14 @@ class ArmCell:
         self.acceleration = np.concatenate(
             [j.acceleration_upper_limits() for j in joints]
         )
-        self.stiffness = np.array(
-            [
-                plant.GetJointActuatorByName(joint.name(), arm)
-                .get_controller_gains()
-                .p
-                for joint in joints
-            ]
-        )
+        gains = [
+            plant.GetJointActuatorByName(
+                joint.name(), arm
+            ).get_controller_gains()
+            for joint in joints
+        ]
+        self.stiffness = np.array([gain.p for gain in gains])
+        self.damping = np.array([gain.d for gain in gains])
         self._filter(scene_graph)
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
@@ -166,6 +167,12 @@ class ArmCell:
             world,
         )
         return J[:, : len(q)]
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """Returns (7, 7) at joint positions (7,), with the gripper, kg·m²."""
+        self._set(q)
+        M = self._plant.CalcMassMatrix(self._context)
+        return M[: len(q), : len(q)]
 
     def is_clear(self, q: np.ndarray) -> bool:
         """Says whether the links are clear of all else."""

@@ -1,6 +1,7 @@
 """What moves the gripper about: all that its controller needs to know."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,23 @@ CARRIERS = ("wrist", "arm")
 
 class ReachError(ValueError):
     """A pose that a carrier cannot take; the message is one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lag:
+    """How far joints are behind what is desired of them.
+
+    Attributes:
+        q: (n,) where they are, m or rad.
+        position: (n,) desired less actual, m or rad.
+        velocity: (n,) the same of their velocities.
+        acceleration: (n,) what is desired.
+    """
+
+    q: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
 
 
 class Carrier(Protocol):
@@ -97,13 +115,8 @@ class Carrier(Protocol):
             ReachError: beyond its reach.
         """
 
-    def force(self, q: np.ndarray, lag: np.ndarray) -> np.ndarray:
-        """Returns the (3,) force of the position control at the tool, N.
-
-        Args:
-            q: joint positions.
-            lag: how far they are behind.
-        """
+    def force(self, lag: Lag) -> np.ndarray:
+        """Returns the (3,) force that the tool presses with, N."""
 
     def path(
         self, start: np.ndarray, legs: Sequence[Leg], begin: float

@@ -44,8 +44,9 @@ class GripperController(LeafSystem):
     out by the state machine of :mod:`xray_drake.gripper.execution`. The inputs
     ``carrier_state`` (2 n, of n joints) and ``finger_state`` (4) are what the
     plant gives out as state of the two model instances, and the outputs are
-    their desired states. ``cup_state`` (:class:`~xray_drake.gripper.suction.CupState`) comes
-    from the :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
+    their desired states. ``cup_state``
+    (:class:`~xray_drake.gripper.suction.CupState`) comes from the
+    :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
     ``suction`` (1) goes to it. ``at_rest`` (1) says whether the cell is at
     rest, see :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it
     is taken to be so soon after the gripper is home.
@@ -78,7 +79,7 @@ class GripperController(LeafSystem):
         self._execution = GraspExecution(gripper, config, force=force)
         self._period = period
         self._time_step = time_step
-        self._joints = joints = len(gripper.home)
+        joints = len(gripper.home)
         self._action = self.DeclareAbstractInputPort(
             "action", Value(SearchAction())
         )
@@ -136,15 +137,19 @@ class GripperController(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         motion = self._motion(context)
         time = context.get_time()
-        desired, _ = motion.path.sample(time - self._time_step)
+        q, v = np.split(self._carrier.Eval(context), 2)
+        due = time - self._time_step
+        desired, rate = motion.path.sample(due)
         senses = Senses(
             time=time,
-            joints=self._carrier.Eval(context)[: self._joints],
+            joints=q,
             desired=desired,
             finger=float(self._fingers.Eval(context)[:2].mean()),
             cup=self._cup.Eval(context),
             at_rest=not self._at_rest.HasValue(context)
             or bool(self._at_rest.Eval(context)[0] > 0.5),
+            lag_velocity=rate - v,
+            acceleration=motion.path.acceleration(due),
         )
         following = motion
         if motion.phase is Phase.IDLE:

@@ -5,7 +5,7 @@ from enum import Enum
 
 import numpy as np
 
-from xray_drake.gripper.carrier import Carrier, ReachError
+from xray_drake.gripper.carrier import Carrier, Lag, ReachError
 from xray_drake.gripper.paths import Leg, Path, stay
 from xray_drake.gripper.quasi_static import TOTE_SLOTS
 from xray_drake.gripper.suction import CupState
@@ -109,6 +109,8 @@ class Senses:
         finger: position of the fingers, 0 open, m.
         cup: the suction cup; of it only vacuum and, to say why, ``lost``.
         at_rest: nothing moves in the cell.
+        lag_velocity: (n,) velocities that it should have, less those it has.
+        acceleration: (n,) accelerations that it should have.
     """
 
     time: float
@@ -117,6 +119,8 @@ class Senses:
     finger: float
     cup: CupState
     at_rest: bool = True
+    lag_velocity: np.ndarray | None = None
+    acceleration: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,8 +329,18 @@ class GraspExecution:
 
     def felt(self, motion: Motion, senses: Senses) -> float:
         """Returns the force against the way the tool goes, N."""
-        lag = senses.desired - senses.joints
-        force = self._carrier.force(senses.joints, lag)
+        none = np.zeros(len(senses.joints))
+        lag = Lag(
+            q=senses.joints,
+            position=senses.desired - senses.joints,
+            velocity=none
+            if senses.lag_velocity is None
+            else senses.lag_velocity,
+            acceleration=none
+            if senses.acceleration is None
+            else senses.acceleration,
+        )
+        force = self._carrier.force(lag)
         return float(force @ self._direction(motion))
 
     def _direction(self, motion: Motion) -> np.ndarray:

@@ -77,6 +77,12 @@ class Path(Message):
             self.trajectory.EvalDerivative(time, 1)[:, 0],
         )
 
+    def acceleration(self, time: float) -> np.ndarray:
+        """Returns (n,) accelerations of the joints at a time (s)."""
+        if not self.trajectory.start_time() <= time <= self.end_time:
+            return np.zeros(self.trajectory.rows())
+        return self.trajectory.EvalDerivative(time, 2)[:, 0]
+
 
 def make_path(
     start: np.ndarray,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from xray_drake.gripper.carrier import ReachError
+from xray_drake.gripper.carrier import Lag, ReachError
 from xray_drake.gripper.paths import Leg, Path, make_path
 from xray_drake.messages import Message
 
@@ -127,9 +127,12 @@ class Wrist(Message):
         q[:2] = np.clip(q[:2], self.lower[:2], self.upper[:2])
         return q
 
-    def force(self, q: np.ndarray, lag: np.ndarray) -> np.ndarray:
-        """Returns the (3,) force of the position control at the tool, N."""
-        return (self.stiffness * lag)[:3]
+    def force(self, lag: Lag) -> np.ndarray:
+        """Returns the (3,) force that the tool presses with, N.
+
+        The wrist is so light that what accelerates it does not matter.
+        """
+        return (self.stiffness * lag.position)[:3]
 
     def path(
         self, start: np.ndarray, legs: Sequence[Leg], begin: float
