@@ -146,11 +146,11 @@ def test_a_wrist_that_does_not_follow_is_told_of(gripper: YumiGripper) -> None:
 class Cell:
     """Gripper, cup and controller on a plant with one object."""
 
-    def __init__(self, model: ObjectModel) -> None:
+    def __init__(self, model: ObjectModel, carrier: str = "wrist") -> None:
         builder = DiagramBuilder()
         plant, scene_graph = add_plant(builder, default_plant_config())
         add_bin(plant, with_tote=True)
-        gripper = add_gripper(plant)
+        gripper = add_gripper(plant, carrier=carrier)
         self.item = add_object(plant, model)
         height = model.extents[2] / 2
         self.item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))

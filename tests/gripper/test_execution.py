@@ -90,7 +90,7 @@ class Script:
         before = self.motion
         since = self.time - before.since
         desired, _ = before.path.sample(self.time)
-        lag = np.zeros(6)
+        lag = np.zeros(len(desired))
         lag[:3] = self.push(before.phase, since, float(desired[2]))
         joints = desired + lag / self.gripper.carrier.stiffness
         shut = self.gripper.finger_travel - self.width(before.phase, since) / 2
