@@ -7,7 +7,8 @@ draws grasps of both kinds on each, some that the analysis says would hold and
 some that it rejects by their wrench, and executes all by contact. Each object
 and pose is one line of the file; what is in the file is not done again. Prints
 what share of the former reaches the tote, what share of the latter does not,
-and where both disagree.
+and where both disagree. With ``--carrier arm`` the arm carries the gripper;
+what is beyond its reach is counted apart.
 """
 
 import json
@@ -117,8 +118,11 @@ class Trial:
 class Cell:
     """The station with one object, and the gripper that is told what to do."""
 
-    def __init__(self, model: ObjectModel, X_WO: np.ndarray) -> None:
+    def __init__(
+        self, model: ObjectModel, X_WO: np.ndarray, carrier: str
+    ) -> None:
         scenario = Scenario()
+        scenario.gripper.carrier = carrier
         scenario.gripper.execution = "contact"
         heap = Heap(
             target=model,
@@ -321,10 +325,10 @@ def draw_grasps(
 
 
 def try_out(
-    model: ObjectModel, X_WO: np.ndarray, seed: int, number: int
+    model: ObjectModel, X_WO: np.ndarray, seed: int, number: int, carrier: str
 ) -> list[Trial]:
     """Executes the grasps of one object in one pose."""
-    cell = Cell(model, X_WO)
+    cell = Cell(model, X_WO, carrier)
     X_WO = cell.settle(X_WO)
     if not inside_bin(X_WO[:3, 3]):
         return []
@@ -351,8 +355,11 @@ def try_out(
 
 def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
     """Yields rows of Markdown: how far analysis and contact agree."""
-    yield "| analysis | kind | grasps | in the tote | agree | turned, median |"
-    yield "|---|---|---|---|---|---|"
+    yield (
+        "| analysis | kind | grasps | in the tote | agree | turned, median | "
+        "out of reach |"
+    )
+    yield "|---|---|---|---|---|---|---|"
     for held in (True, False):
         for kind in (GraspKind.JAW.value, GraspKind.SUCTION.value, ""):
             some = [
@@ -368,7 +375,8 @@ def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
             turned = f"{np.median(turns):.1f}°" if turns else "–"
             yield (
                 f"| {'holds' if held else 'does not'} | {kind or 'both'} | "
-                f"{len(some)} | {brought} | {share} | {turned} |"
+                f"{len(some)} | {brought} | {share} | {turned} | "
+                f"{sum('out of the' in t['reason'] for t in some)} |"
             )
 
 
@@ -390,6 +398,7 @@ def main(
     seed: Annotated[int, typer.Option(min=0)] = 10_000,
     number: Annotated[int, typer.Option(min=1, help="Of each sort.")] = 1,
     most: Annotated[int, typer.Option(min=0, help="Items to add.")] = 1000,
+    carrier: Annotated[str, typer.Option(help="wrist or arm.")] = "wrist",
 ) -> None:
     """Executes grasps that the analysis accepts and rejects, by contact."""
     console = Console(width=200)
@@ -407,7 +416,7 @@ def main(
         for rest in wanted[: most - added]:
             if rest >= len(poses):
                 continue
-            trials = try_out(model, poses[rest], seed + rest, number)
+            trials = try_out(model, poses[rest], seed + rest, number, carrier)
             line = {
                 "kind": kind,
                 "name": name,

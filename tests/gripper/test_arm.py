@@ -149,7 +149,7 @@ def test_out_of_reach_is_said_in_a_line(arm: Arm) -> None:
 def test_it_goes_as_high_as_it_can(arm: Arm) -> None:
     q = arm.at_height(arm.home, 0.25)
     assert arm.pose(q)[2, 3] == pytest.approx(0.25)
-    assert arm.pose(arm.at_height(q, 2.0))[2, 3] < 0.8
+    assert arm.pose(arm.at_height(q, 2.0))[2, 3] < 1.5
 
 
 def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
