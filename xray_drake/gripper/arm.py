@@ -52,6 +52,10 @@ _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 _TURNING_RADIUS = (0.22, 0.34)
 """So near axis 1 is the tool while the arm turns, to pass base and posts, m."""
 
+_FEELING = 0.05
+"""Of the Jacobian, singular values below this share of the largest tell
+nothing of the force."""
+
 _HEADROOM = 0.18
 """The tool stays so far below the base, where the arm has room to fold, m."""
 
@@ -195,7 +199,8 @@ class Arm(Message):
         """Returns q with a point of the tool over a place.
 
         The tool keeps its height and its tilt; it turns about the vertical as
-        the arm does, or otherwise if it comes further down so.
+        the arm does, or otherwise if it comes further down so. Where it cannot
+        stay level on the way, it is level at the end.
 
         Args:
             q: (7,) joint positions.
@@ -208,10 +213,9 @@ class Arm(Message):
         """
         X_WT = self.pose(q)
         found: list[tuple[float, np.ndarray]] = []
-        for turn in self._turns_over(X_WT, p_T, q, place):
-            X = np.array(X_WT)
-            X[:3, :3] = _about_vertical(turn) @ X_WT[:3, :3]
-            X[:2, 3] = place - (X[:3, :3] @ p_T)[:2]
+        turns = self._turns_over(X_WT, p_T, q, place)
+        for turn in turns:
+            X = self._moved_over(X_WT, p_T, place, turn)
             knots = self._turned(q, X, turn)
             if knots is None or not self._is_clear(knots):
                 continue
@@ -220,10 +224,31 @@ class Arm(Message):
             if down < lowest + _NEAR_ENOUGH:
                 return there
             found.append((down, there))
+        for turn in () if found else turns:
+            X = self._moved_over(X_WT, p_T, place, turn)
+            try:
+                there = self.joints(X, near=q)
+            except ReachError:
+                continue
+            if self._is_clear(self._swing(q, there)):
+                return there
         if found:
             return min(found, key=lambda item: item[0])[1]
         at = ", ".join(f"{x:.2f}" for x in place)
         raise ReachError(f"out of the arm's reach: to carry it over ({at}) m")
+
+    def _moved_over(
+        self,
+        X_WT: np.ndarray,
+        p_T: np.ndarray,
+        place: np.ndarray,
+        turn: float,
+    ) -> np.ndarray:
+        """Returns X_WT turned, with a point of the tool over a place."""
+        X = np.array(X_WT)
+        X[:3, :3] = _about_vertical(turn) @ X_WT[:3, :3]
+        X[:2, 3] = place - (X[:3, :3] @ p_T)[:2]
+        return X
 
     def _turns_over(
         self,
@@ -250,7 +275,10 @@ class Arm(Message):
         cell = self.cell
         torque = cell.stiffness * lag.position + cell.damping * lag.velocity
         torque = torque - cell.mass_matrix(lag.q) @ lag.acceleration
-        wrench, *_ = np.linalg.lstsq(cell.jacobian(lag.q).T, torque)
+        # Where the arm is stretched it does not feel the force along it.
+        wrench, *_ = np.linalg.lstsq(
+            cell.jacobian(lag.q).T, torque, rcond=_FEELING
+        )
         return wrench[3:]
 
     def path(
