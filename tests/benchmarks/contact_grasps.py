@@ -376,7 +376,7 @@ def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
             yield (
                 f"| {'holds' if held else 'does not'} | {kind or 'both'} | "
                 f"{len(some)} | {brought} | {share} | {turned} | "
-                f"{sum('out of the' in t['reason'] for t in some)} |"
+                f"{sum(t['reason'].startswith('out of the ') for t in some)} |"
             )
 
 

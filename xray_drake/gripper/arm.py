@@ -52,7 +52,7 @@ _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 _TURNING_RADIUS = (0.22, 0.34)
 """So near axis 1 is the tool while the arm turns, to pass base and posts, m."""
 
-_FEELING = 0.05
+_FEELING = 0.03
 """Of the Jacobian, singular values below this share of the largest tell
 nothing of the force."""
 
@@ -275,10 +275,10 @@ class Arm(Message):
         cell = self.cell
         torque = cell.stiffness * lag.position + cell.damping * lag.velocity
         torque = torque - cell.mass_matrix(lag.q) @ lag.acceleration
+        J = cell.jacobian(lag.q)
+        J[:3] *= _LEVER
         # Where the arm is stretched it does not feel the force along it.
-        wrench, *_ = np.linalg.lstsq(
-            cell.jacobian(lag.q).T, torque, rcond=_FEELING
-        )
+        wrench, *_ = np.linalg.lstsq(J.T, torque, rcond=_FEELING)
         return wrench[3:]
 
     def path(
