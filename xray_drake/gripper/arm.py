@@ -274,7 +274,7 @@ class Arm(Message):
         """
         cell = self.cell
         torque = cell.stiffness * lag.position + cell.damping * lag.velocity
-        torque = torque - cell.mass_matrix(lag.q) @ lag.acceleration
+        torque = torque - cell.inertial_torque(lag.q, lag.v, lag.acceleration)
         J = cell.jacobian(lag.q)
         J[:3] *= _LEVER
         # Where the arm is stretched it does not feel the force along it.

@@ -168,11 +168,17 @@ class ArmCell:
         )
         return J[:, : len(q)]
 
-    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """Returns (7, 7) at joint positions (7,), with the gripper, kg·m²."""
+    def inertial_torque(
+        self, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray
+    ) -> np.ndarray:
+        """Returns (7,) what it takes to move so with the gripper, N·m."""
         self._set(q)
-        M = self._plant.CalcMassMatrix(self._context)
-        return M[: len(q), : len(q)]
+        n, plant = len(q), self._plant
+        velocities = np.zeros(plant.num_velocities())
+        velocities[:n] = v
+        plant.SetVelocities(self._context, velocities)
+        M = plant.CalcMassMatrix(self._context)[:n, :n]
+        return M @ acceleration + plant.CalcBiasTerm(self._context)[:n]
 
     def is_clear(self, q: np.ndarray) -> bool:
         """Says whether the links are clear of all else."""

@@ -22,12 +22,14 @@ class Lag:
 
     Attributes:
         q: (n,) where they are, m or rad.
+        v: (n,) how fast they go.
         position: (n,) desired less actual, m or rad.
         velocity: (n,) the same of their velocities.
         acceleration: (n,) what is desired.
     """
 
     q: np.ndarray
+    v: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray

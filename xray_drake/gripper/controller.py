@@ -148,6 +148,7 @@ class GripperController(LeafSystem):
             cup=self._cup.Eval(context),
             at_rest=not self._at_rest.HasValue(context)
             or bool(self._at_rest.Eval(context)[0] > 0.5),
+            velocities=v,
             lag_velocity=rate - v,
             acceleration=motion.path.acceleration(due),
         )

@@ -109,7 +109,8 @@ class Senses:
         finger: position of the fingers, 0 open, m.
         cup: the suction cup; of it only vacuum and, to say why, ``lost``.
         at_rest: nothing moves in the cell.
-        lag_velocity: (n,) velocities that it should have, less those it has.
+        velocities: (n,) that it has.
+        lag_velocity: (n,) velocities that it should have, less those.
         acceleration: (n,) accelerations that it should have.
     """
 
@@ -119,6 +120,7 @@ class Senses:
     finger: float
     cup: CupState
     at_rest: bool = True
+    velocities: np.ndarray | None = None
     lag_velocity: np.ndarray | None = None
     acceleration: np.ndarray | None = None
 
@@ -332,6 +334,7 @@ class GraspExecution:
         none = np.zeros(len(senses.joints))
         lag = Lag(
             q=senses.joints,
+            v=none if senses.velocities is None else senses.velocities,
             position=senses.desired - senses.joints,
             velocity=none
             if senses.lag_velocity is None
