@@ -7,7 +7,8 @@ draws grasps of both kinds on each, some that the analysis says would hold and
 some that it rejects by their wrench, and executes all by contact. Each object
 and pose is one line of the file; what is in the file is not done again. Prints
 what share of the former reaches the tote, what share of the latter does not,
-and where both disagree.
+and where both disagree. With ``--carrier arm`` the arm carries the gripper;
+what is beyond its reach is counted apart.
 
     python tests/benchmarks/contact_grasps.py loads.jsonl --load 0.5 --load 2
 
@@ -128,8 +129,11 @@ class Trial:
 class Cell:
     """The station with one object, and the gripper that is told what to do."""
 
-    def __init__(self, model: ObjectModel, X_WO: np.ndarray) -> None:
+    def __init__(
+        self, model: ObjectModel, X_WO: np.ndarray, carrier: str
+    ) -> None:
         scenario = Scenario()
+        scenario.gripper.carrier = carrier
         scenario.gripper.execution = "contact"
         heap = Heap(
             target=model,
@@ -339,10 +343,10 @@ def weighing(model: ObjectModel, weight: float) -> ObjectModel:
 
 
 def try_out(
-    model: ObjectModel, X_WO: np.ndarray, seed: int, number: int
+    model: ObjectModel, X_WO: np.ndarray, seed: int, number: int, carrier: str
 ) -> list[Trial]:
     """Executes the grasps of one object in one pose."""
-    cell = Cell(model, X_WO)
+    cell = Cell(model, X_WO, carrier)
     X_WO = cell.settle(X_WO)
     if not inside_bin(X_WO[:3, 3]):
         return []
@@ -357,10 +361,11 @@ def load_up(
     X_WO: np.ndarray,
     seed: int,
     number: int,
+    carrier: str,
     loads: Sequence[float],
 ) -> list[Trial]:
     """Executes grasps that hold with the object of several weights."""
-    X_WO = Cell(model, X_WO).settle(X_WO)
+    X_WO = Cell(model, X_WO, carrier).settle(X_WO)
     if not inside_bin(X_WO[:3, 3]):
         return []
     poses, trials = {model.name: X_WO}, []
@@ -376,7 +381,7 @@ def load_up(
                 X_WG_perturbed=grasp.X_WG,
                 friction=real.friction(model.name),
             )
-            cell = Cell(heavy, X_WO)
+            cell = Cell(heavy, X_WO, carrier)
             trials.append(execute(cell, heavy, grasp, judged, X_WO))
     return trials
 
@@ -416,9 +421,9 @@ def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
     """
     yield (
         "| analysis | kind | grasps | in the tote | and turned by less than "
-        f"{AS_PLANNED:.0f}° | turned, median |"
+        f"{AS_PLANNED:.0f}° | turned, median | out of reach |"
     )
-    yield "|---|---|---|---|---|---|"
+    yield "|---|---|---|---|---|---|---|"
     for held in (True, False):
         for kind in (GraspKind.JAW.value, GraspKind.SUCTION.value, ""):
             some = [
@@ -440,7 +445,8 @@ def table(lines: Sequence[dict[str, Any]]) -> Iterator[str]:
             turned = f"{np.median(turns):.1f}°" if turns else "–"
             yield (
                 f"| {'holds' if held else 'does not'} | {kind or 'both'} | "
-                f"{len(some)} | {shares[0]} | {shares[1]} | {turned} |"
+                f"{len(some)} | {shares[0]} | {shares[1]} | {turned} | "
+                f"{sum(t['reason'].startswith('out of the ') for t in some)} |"
             )
 
 
@@ -466,6 +472,7 @@ def main(
         list[float] | None,
         typer.Option(help="Weights over what the grasp holds; repeatable."),
     ] = None,
+    carrier: Annotated[str, typer.Option(help="wrist or arm.")] = "wrist",
 ) -> None:
     """Executes grasps that the analysis accepts and rejects, by contact."""
     console = Console(width=200)
@@ -483,7 +490,7 @@ def main(
         for rest in wanted[: most - added]:
             if rest >= len(poses):
                 continue
-            begin = model, poses[rest], seed + rest, number
+            begin = model, poses[rest], seed + rest, number, carrier
             trials = load_up(*begin, load) if load else try_out(*begin)
             line = {
                 "kind": kind,

@@ -60,7 +60,7 @@ class Alone:
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         state = np.concatenate([gripper.home, np.zeros(6)])
-        self.system.GetInputPort("wrist_state").FixValue(self.context, state)
+        self.system.GetInputPort("carrier_state").FixValue(self.context, state)
         self.system.GetInputPort("finger_state").FixValue(
             self.context, np.zeros(4)
         )
@@ -86,11 +86,11 @@ def test_ports_are_named(gripper: YumiGripper) -> None:
     assert [
         system.get_input_port(i).get_name()
         for i in range(system.num_input_ports())
-    ] == ["action", "wrist_state", "finger_state", "cup_state", "at_rest"]
+    ] == ["action", "carrier_state", "finger_state", "cup_state", "at_rest"]
     assert [
         system.get_output_port(i).get_name()
         for i in range(system.num_output_ports())
-    ] == ["status", "wrist_desired_state", "finger_desired_state", "suction"]
+    ] == ["status", "carrier_desired_state", "finger_desired_state", "suction"]
     assert system.get_name() == "gripper_controller"
 
 
@@ -105,7 +105,7 @@ def test_idle_it_stays_at_home(gripper: YumiGripper) -> None:
     status = controller.advance_to(0.2)
     assert (status.mode, status.number) == (GripperMode.IDLE, 0)
     np.testing.assert_allclose(
-        controller.get("wrist_desired_state"),
+        controller.get("carrier_desired_state"),
         [*gripper.home, *np.zeros(6)],
         atol=1e-9,
     )
@@ -121,7 +121,7 @@ def test_a_command_is_taken_up_once(gripper: YumiGripper) -> None:
     status = controller.advance_to(0.02)
     assert (status.mode, status.number) == (GripperMode.BUSY, 1)
     controller.advance_to(0.2)
-    desired = controller.get("wrist_desired_state")
+    desired = controller.get("carrier_desired_state")
     assert desired[1] < gripper.home[1] - 0.001  # from home to the bin
     assert desired[7] < 0
     fingers = controller.get("finger_desired_state")
@@ -146,11 +146,11 @@ def test_a_wrist_that_does_not_follow_is_told_of(gripper: YumiGripper) -> None:
 class Cell:
     """Gripper, cup and controller on a plant with one object."""
 
-    def __init__(self, model: ObjectModel) -> None:
+    def __init__(self, model: ObjectModel, carrier: str = "wrist") -> None:
         builder = DiagramBuilder()
         plant, scene_graph = add_plant(builder, default_plant_config())
         add_bin(plant, with_tote=True)
-        gripper = add_gripper(plant)
+        gripper = add_gripper(plant, carrier=carrier)
         self.item = add_object(plant, model)
         height = model.extents[2] / 2
         self.item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
@@ -165,7 +165,7 @@ class Cell:
             )
         )
         self.controller = builder.AddSystem(GripperController(gripper=gripper))
-        arm, hand = gripper.wrist_instance, gripper.finger_instance
+        arm, hand = gripper.carrier_instance, gripper.finger_instance
         desired = plant.get_desired_state_input_port
         state = plant.get_state_output_port
         get, take_in = (
@@ -187,9 +187,9 @@ class Cell:
             ),
             (cup.GetOutputPort("state"), take_in("cup_state")),
             (get("suction"), cup.GetInputPort("suction")),
-            (state(arm), take_in("wrist_state")),
+            (state(arm), take_in("carrier_state")),
             (state(hand), take_in("finger_state")),
-            (get("wrist_desired_state"), desired(arm)),
+            (get("carrier_desired_state"), desired(arm)),
             (get("finger_desired_state"), desired(hand)),
         ):
             builder.Connect(source, target)

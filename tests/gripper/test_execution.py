@@ -90,9 +90,9 @@ class Script:
         before = self.motion
         since = self.time - before.since
         desired, _ = before.path.sample(self.time)
-        lag = np.zeros(6)
+        lag = np.zeros(len(desired))
         lag[:3] = self.push(before.phase, since, float(desired[2]))
-        joints = desired + lag / self.gripper.wrist.stiffness
+        joints = desired + lag / self.gripper.carrier.stiffness
         shut = self.gripper.finger_travel - self.width(before.phase, since) / 2
         closing = before.phase is not Phase.APPROACH
         finger = min(before.finger, shut) if closing else before.finger
@@ -141,7 +141,7 @@ class Script:
             GraspKind.SUCTION: self.gripper.X_BC,
         }
         X_BG = frames[motion.action.grasp.kind]
-        return self.gripper.wrist.pose(joints) @ X_BG
+        return self.gripper.carrier.pose(joints) @ X_BG
 
 
 def test_nothing_happens_without_a_command(gripper: YumiGripper) -> None:
@@ -196,7 +196,7 @@ def test_the_wrist_goes_smoothly_and_within_its_limits(
     q = np.array([joints for *_, joints in script.way])
     v = np.diff(q, axis=0) / PERIOD
     a = np.diff(v, axis=0) / PERIOD
-    assert np.all(np.abs(v) <= gripper.wrist.velocity + 1e-6)
+    assert np.all(np.abs(v) <= gripper.carrier.velocity + 1e-6)
     assert np.abs(v[:, :3]).max() <= CONFIG.speed + 1e-6
     # Between two samples of the path; a jump of 1 mm would give 10 m/s².
     assert np.abs(a[:, :3]).max() <= 1.5 * CONFIG.acceleration

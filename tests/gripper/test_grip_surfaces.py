@@ -57,10 +57,10 @@ class Scene:
         X_WJ = np.diag([1.0, -1.0, -1.0, 1.0])
         X_WJ[:3, 3] = jaw
         gripper = self.gripper
-        q = gripper.wrist.joints(
+        q = gripper.carrier.joints(
             X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.home
         )
-        self.plant.SetPositions(context, gripper.wrist_instance, q)
+        self.plant.SetPositions(context, gripper.carrier_instance, q)
         self.plant.SetPositions(
             context, gripper.finger_instance, np.full(2, 0.011)
         )

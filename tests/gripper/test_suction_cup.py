@@ -285,7 +285,7 @@ class Cell:
         )
         builder.ExportInput(cup.GetInputPort("suction"), "suction")
         for name, instance in (
-            ("wrist", self.gripper.wrist_instance),
+            ("wrist", self.gripper.carrier_instance),
             ("fingers", self.gripper.finger_instance),
         ):
             builder.ExportInput(
@@ -295,12 +295,12 @@ class Cell:
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
         X_WC = pose(0.05, 0.02, top, DOWN)
-        self.q = self.gripper.wrist.joints(
+        self.q = self.gripper.carrier.joints(
             X_WC @ np.linalg.inv(self.gripper.X_BC), near=self.gripper.home
         )
         plant.SetPositions(
             plant.GetMyMutableContextFromRoot(self.context),
-            self.gripper.wrist_instance,
+            self.gripper.carrier_instance,
             self.q,
         )
         shut = self.gripper.finger_travel

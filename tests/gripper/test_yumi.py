@@ -62,7 +62,7 @@ class Cell:
             builder.ExportOutput(sensor.label_image_output_port(), "label")
         plant = self.plant
         for name, instance in (
-            ("wrist", self.gripper.wrist_instance),
+            ("wrist", self.gripper.carrier_instance),
             ("fingers", self.gripper.finger_instance),
         ):
             builder.ExportInput(
@@ -87,12 +87,12 @@ class Cell:
     def at(self, X_WJ: np.ndarray) -> None:
         """Puts the jaw at a pose, at once."""
         gripper = self.gripper
-        self.q = gripper.wrist.joints(
+        self.q = gripper.carrier.joints(
             X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.home
         )
         self.plant.SetPositions(
             self.plant.GetMyMutableContextFromRoot(self.context),
-            gripper.wrist_instance,
+            gripper.carrier_instance,
             self.q,
         )
         self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
@@ -138,7 +138,7 @@ class Cell:
     @property
     def wrist(self) -> np.ndarray:
         return self.plant.GetPositions(
-            self.plant_context, self.gripper.wrist_instance
+            self.plant_context, self.gripper.carrier_instance
         )
 
     def effort(self, part: str) -> np.ndarray:
@@ -279,19 +279,19 @@ def test_typed_access(alone: Cell) -> None:
     np.testing.assert_allclose(gripper.X_BJ, geometry.X_BJ, atol=1e-12)
     np.testing.assert_allclose(gripper.X_BC, geometry.X_BC, atol=1e-12)
     np.testing.assert_allclose(
-        gripper.wrist.pose(gripper.home) @ gripper.X_BJ, HOME, atol=1e-9
+        gripper.carrier.pose(gripper.home) @ gripper.X_BJ, HOME, atol=1e-9
     )
     context = plant.CreateDefaultContext()
     np.testing.assert_allclose(
         gripper.base.EvalPoseInWorld(context).GetAsMatrix4(),
-        gripper.wrist.pose(gripper.home),
+        gripper.carrier.pose(gripper.home),
         atol=1e-9,
     )
     assert gripper.finger_force == 20.0
     assert gripper.finger_travel == 0.025
     assert gripper.finger_speed == 0.025
-    np.testing.assert_allclose(gripper.wrist.velocity[:3], 1.5)
-    np.testing.assert_allclose(gripper.wrist.acceleration[:3], 11.0)
+    np.testing.assert_allclose(gripper.carrier.velocity[:3], 1.5)
+    np.testing.assert_allclose(gripper.carrier.acceleration[:3], 11.0)
 
 
 def test_it_stays_where_it_is() -> None:
@@ -304,7 +304,7 @@ def test_it_stays_where_it_is() -> None:
 def test_at_home_the_camera_does_not_see_it() -> None:
     cell = Cell(camera=True)
     hand = cell.plant.GetBodyIndices(cell.gripper.finger_instance)
-    arm = cell.plant.GetBodyIndices(cell.gripper.wrist_instance)
+    arm = cell.plant.GetBodyIndices(cell.gripper.carrier_instance)
     labels = [int(index) for index in [*hand, *arm]]
     port = cell.diagram.GetOutputPort("label")
     assert not np.isin(port.Eval(cell.context).data, labels).any()

@@ -202,7 +202,7 @@ def test_ports_by_contact(diagram: SearchDiagram) -> None:
         "gripper_controller.status",
         "suction_cup.state",
         "rest_sensor.at_rest",
-        "wrist.state",
+        "carrier.state",
         "fingers.state",
     }
     station = diagram.GetSubsystemByName("heap_station")
@@ -211,7 +211,7 @@ def test_ports_by_contact(diagram: SearchDiagram) -> None:
         for i in range(station.num_input_ports())
     } == {
         "applied_spatial_force",
-        "wrist.desired_state",
+        "carrier.desired_state",
         "fingers.desired_state",
     }
 

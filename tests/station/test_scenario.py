@@ -225,6 +225,7 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
         ("gripper: {grasps: eye}", ["gripper.grasps", "models, depth"]),
         ("gripper: {execution: eye}", ["gripper.execution", "quasi_static"]),
         ("gripper: {execution: eye}", ["gripper.execution", "contact"]),
+        ("gripper: {carrier: crane}", ["gripper.carrier", "wrist, arm"]),
         (
             "{gripper: {execution: contact}, plant_config: "
             "{contact_model: point}}",

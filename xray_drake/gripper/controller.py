@@ -30,22 +30,23 @@ class GripperController(LeafSystem):
         name: GripperController
         input_ports:
         - action
-        - wrist_state
+        - carrier_state
         - finger_state
         - cup_state
         - at_rest
         output_ports:
         - status
-        - wrist_desired_state
+        - carrier_desired_state
         - finger_desired_state
         - suction
 
     A new ``action`` (:class:`~xray_drake.messages.SearchAction`) is carried
     out by the state machine of :mod:`xray_drake.gripper.execution`. The inputs
-    ``wrist_state`` (12) and ``finger_state`` (4) are what the plant gives out
-    as state of the two model instances, and the outputs are their desired
-    states. ``cup_state`` (:class:`~xray_drake.gripper.suction.CupState`) comes
-    from the :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
+    ``carrier_state`` (2 n, of n joints) and ``finger_state`` (4) are what the
+    plant gives out as state of the two model instances, and the outputs are
+    their desired states. ``cup_state``
+    (:class:`~xray_drake.gripper.suction.CupState`) comes from the
+    :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
     ``suction`` (1) goes to it. ``at_rest`` (1) says whether the cell is at
     rest, see :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it
     is taken to be so soon after the gripper is home.
@@ -78,10 +79,11 @@ class GripperController(LeafSystem):
         self._execution = GraspExecution(gripper, config, force=force)
         self._period = period
         self._time_step = time_step
+        joints = len(gripper.home)
         self._action = self.DeclareAbstractInputPort(
             "action", Value(SearchAction())
         )
-        self._wrist = self.DeclareVectorInputPort("wrist_state", 12)
+        self._carrier = self.DeclareVectorInputPort("carrier_state", 2 * joints)
         self._fingers = self.DeclareVectorInputPort("finger_state", 4)
         self._cup = self.DeclareAbstractInputPort(
             "cup_state", Value(CupState())
@@ -96,9 +98,9 @@ class GripperController(LeafSystem):
             prerequisites_of_calc={ticket},
         )
         self.DeclareVectorOutputPort(
-            "wrist_desired_state",
-            12,
-            self._calc_wrist,
+            "carrier_desired_state",
+            2 * joints,
+            self._calc_carrier,
             prerequisites_of_calc={ticket, self.time_ticket()},
         )
         self.DeclareVectorOutputPort(
@@ -120,7 +122,7 @@ class GripperController(LeafSystem):
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._execution.status(self._motion(context)))
 
-    def _calc_wrist(self, context: Context, output: BasicVector) -> None:
+    def _calc_carrier(self, context: Context, output: BasicVector) -> None:
         q, v = self._motion(context).path.sample(context.get_time())
         output.SetFromVector(np.concatenate([q, v]))
 
@@ -135,15 +137,20 @@ class GripperController(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         motion = self._motion(context)
         time = context.get_time()
-        desired, _ = motion.path.sample(time - self._time_step)
+        q, v = np.split(self._carrier.Eval(context), 2)
+        due = time - self._time_step
+        desired, rate = motion.path.sample(due)
         senses = Senses(
             time=time,
-            joints=self._wrist.Eval(context)[:6],
+            joints=q,
             desired=desired,
             finger=float(self._fingers.Eval(context)[:2].mean()),
             cup=self._cup.Eval(context),
             at_rest=not self._at_rest.HasValue(context)
             or bool(self._at_rest.Eval(context)[0] > 0.5),
+            velocities=v,
+            lag_velocity=rate - v,
+            acceleration=motion.path.acceleration(due),
         )
         following = motion
         if motion.phase is Phase.IDLE:

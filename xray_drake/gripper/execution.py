@@ -5,10 +5,10 @@ from enum import Enum
 
 import numpy as np
 
-from xray_drake.gripper.paths import Leg, Path, make_path, stay
+from xray_drake.gripper.carrier import Carrier, Lag, ReachError
+from xray_drake.gripper.paths import Leg, Path, stay
 from xray_drake.gripper.quasi_static import TOTE_SLOTS
 from xray_drake.gripper.suction import CupState
-from xray_drake.gripper.wrist import ReachError, Wrist
 from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import (
     Grasp,
@@ -20,9 +20,6 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.scene.plant import TOTE_POSITION
-
-_UP = 2
-"""Index of the vertical slide among the wrist's joints."""
 
 
 @dataclass
@@ -40,11 +37,12 @@ class ExecutionConfig:
     touch_distance: float = 0.015
     # The last straight part of the approach, that planning found free, m.
     approach_distance: float = 0.10
-    # Height of the flange on the way to the bin, to the tote and back, m.
+    # Height of the flange on the way to the bin, to the tote and back, m; lower
+    # where the carrier has no room.
     transit_height: float = 0.46
     # The jaw opens so much wider than the object, to each side, m.
     clearance: float = 0.005
-    # Contact is felt where the wrist is pushed back with this force, N.
+    # Contact is felt where the carrier is pushed back with this force, N.
     contact_force: float = 3.0
     # If it is felt, the grasp is tried if this little was left to go, m.
     max_retreat: float = 0.006
@@ -71,7 +69,7 @@ class ExecutionConfig:
     # At the end it waits for the cell to be at rest, at least and at most, s.
     settle_time: float = 0.3
     settle_timeout: float = 3.0
-    # The wrist is stuck where it lags so far behind, m.
+    # The carrier is stuck where it lags so far behind, m.
     stuck_distance: float = 0.015
     # The whole action takes no longer than this, s.
     give_up: float = 20.0
@@ -106,11 +104,14 @@ class Senses:
 
     Attributes:
         time: s.
-        joints: (6,) positions of the wrist.
-        desired: (6,) positions that it should have by now.
+        joints: (n,) positions of the carrier.
+        desired: (n,) positions that it should have by now.
         finger: position of the fingers, 0 open, m.
         cup: the suction cup; of it only vacuum and, to say why, ``lost``.
         at_rest: nothing moves in the cell.
+        velocities: (n,) that it has.
+        lag_velocity: (n,) velocities that it should have, less those.
+        acceleration: (n,) accelerations that it should have.
     """
 
     time: float
@@ -119,6 +120,9 @@ class Senses:
     finger: float
     cup: CupState
     at_rest: bool = True
+    velocities: np.ndarray | None = None
+    lag_velocity: np.ndarray | None = None
+    acceleration: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +131,15 @@ class Motion(Message):
 
     Attributes:
         phase: what it is about.
-        path: of the wrist.
+        path: of the carrier.
         action: last taken up.
         since: when the phase began, s.
         began: when the action began, s.
         outcome: of the action, as far as it is known.
         reason: for a failure.
-        goal: (6,) joint positions of the grasp.
+        goal: (n,) joint positions of the grasp.
+        descent: (n,) joint positions on the way to it: before it, where the
+            carrier slows down, and beyond it.
         finger: position commanded to the fingers, m.
         finger_rate: its rate, m/s.
         finger_target: where it goes, m; beyond ``closed`` for a squeeze.
@@ -150,7 +156,8 @@ class Motion(Message):
     began: float = 0.0
     outcome: Outcome = Outcome.NONE
     reason: str = ""
-    goal: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    goal: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    descent: tuple[np.ndarray, ...] = ()
     finger: float = 0.0
     finger_rate: float = 0.0
     finger_target: float = 0.0
@@ -187,12 +194,10 @@ class GraspExecution:
         self._gripper = gripper
         self._config = config or ExecutionConfig()
         self._force = min(force, gripper.finger_force)
-        wrist = gripper.wrist
-        slides = np.arange(6) < 3
-        limit = np.where(slides, self._config.acceleration, np.inf)
-        self._wrist: Wrist = replace(
-            wrist, acceleration=np.minimum(wrist.acceleration, limit)
+        self._carrier: Carrier = gripper.carrier.slowed(
+            self._config.acceleration
         )
+        self._transit = min(self._config.transit_height, self._carrier.highest)
         self._X_GB = {
             GraspKind.JAW: np.linalg.inv(gripper.X_BJ),
             GraspKind.SUCTION: np.linalg.inv(gripper.X_BC),
@@ -244,28 +249,42 @@ class GraspExecution:
                 outcome=Outcome.NO_GRASP,
                 reason="no candidate has a grasp",
             )
-        home = self._gripper.home
+        carrier, home = self._carrier, self._gripper.home
+        config, suction = self._config, grasp.kind is GraspKind.SUCTION
+        beyond = config.cup_overtravel if suction else config.jaw_overtravel
+        poses = [
+            self._pose(grasp, advance)
+            for advance in (
+                beyond,
+                0.0,
+                -config.touch_distance,
+                -config.approach_distance,
+            )
+        ]
+        above = np.array(poses[-1])
+        above[2, 3] = self._transit
         try:
-            goal = self._joints(grasp, 0.0)
-            over = self._joints(grasp, -self._config.approach_distance)
+            last, goal, touch, back, over = carrier.along(
+                [*poses, above], near=home
+            )
+            motion = replace(motion, goal=goal, descent=(back, touch, last))
+            self._above_tote(motion, over)
+            rise = carrier.at_height(home, self._transit)
+            motion = self._go(
+                motion,
+                Phase.APPROACH,
+                [Leg(rise, free=True), Leg(over, config.speed, free=True)],
+                senses,
+                start=motion.path.end,
+            )
         except ReachError as error:
             return replace(motion, outcome=Outcome.FAILED, reason=str(error))
-        over[_UP] = self._config.transit_height
-        rise = np.array(home)
-        rise[_UP] = self._config.transit_height
-        motion = self._go(
-            motion,
-            Phase.APPROACH,
-            [Leg(rise), Leg(over, self._config.speed)],
-            senses,
-            start=motion.path.end,
-        )
         travel = self._gripper.finger_travel
         opening = grasp.width + 2 * self._config.clearance
         target = travel
         if grasp.kind is GraspKind.JAW:
             target = max(travel - 0.5 * opening, 0.0)
-        return replace(motion, goal=goal, finger_target=target)
+        return replace(motion, finger_target=target)
 
     def advance(self, motion: Motion, senses: Senses, elapsed: float) -> Motion:
         """Returns the machine a moment later.
@@ -299,7 +318,10 @@ class GraspExecution:
             Phase.HOME: self._home,
             Phase.SETTLE: self._settle,
         }[phase]
-        return step(motion, senses)
+        try:
+            return step(motion, senses)
+        except ReachError as error:
+            return self._abort(motion, senses, str(error))
 
     # What it feels.
 
@@ -309,8 +331,19 @@ class GraspExecution:
 
     def felt(self, motion: Motion, senses: Senses) -> float:
         """Returns the force against the way the tool goes, N."""
-        lag = senses.desired - senses.joints
-        force = (self._wrist.stiffness * lag)[:3]
+        none = np.zeros(len(senses.joints))
+        lag = Lag(
+            q=senses.joints,
+            v=none if senses.velocities is None else senses.velocities,
+            position=senses.desired - senses.joints,
+            velocity=none
+            if senses.lag_velocity is None
+            else senses.lag_velocity,
+            acceleration=none
+            if senses.acceleration is None
+            else senses.acceleration,
+        )
+        force = self._carrier.force(lag)
         return float(force @ self._direction(motion))
 
     def _direction(self, motion: Motion) -> np.ndarray:
@@ -322,9 +355,9 @@ class GraspExecution:
         """Returns why the action cannot go on, or nothing."""
         if senses.time - motion.began > self._config.give_up:
             return f"gave up after {self._config.give_up:g} s"
-        lag = np.linalg.norm((senses.desired - senses.joints)[:3])
-        if lag > self._config.stuck_distance:
-            return "the wrist is stuck"
+        lag = self._at(senses.desired) - self._at(senses.joints)
+        if np.linalg.norm(lag) > self._config.stuck_distance:
+            return f"the {self._carrier.name} is stuck"
         if motion.phase not in _HOLDING:
             return ""
         if motion.action.grasp.kind is GraspKind.SUCTION:
@@ -336,13 +369,30 @@ class GraspExecution:
 
     # What it does.
 
-    def _joints(self, grasp: Grasp, advance: float) -> np.ndarray:
-        """Returns the (6,) joints at a grasp, or before or beyond it (m)."""
+    def _pose(self, grasp: Grasp, advance: float) -> np.ndarray:
+        """Returns X_WT at a grasp, or before or beyond it (m)."""
         X_WG = np.array(grasp.X_WG)
         X_WG[:3, 3] += advance * X_WG[:3, 2]
-        return self._wrist.joints(
-            X_WG @ self._X_GB[grasp.kind], near=self._gripper.home
+        return X_WG @ self._X_GB[grasp.kind]
+
+    def _at(self, q: np.ndarray) -> np.ndarray:
+        """Returns where the tool's origin is, (3,), m."""
+        return self._carrier.pose(q)[:3, 3]
+
+    def _above_tote(self, motion: Motion, q: np.ndarray) -> np.ndarray:
+        """Returns joint positions with what is held above its place."""
+        slot = TOTE_SLOTS[motion.carried % len(TOTE_SLOTS)]
+        X_TG = np.linalg.inv(self._X_GB[motion.action.grasp.kind])
+        return self._carrier.over(
+            q,
+            X_TG[:3, 3],
+            np.array(TOTE_POSITION[:2]) + slot,
+            lowest=self._release_height(motion),
         )
+
+    def _release_height(self, motion: Motion) -> float:
+        """Returns the height of the tool's origin at which it lets go, m."""
+        return self._at(motion.goal)[2] + self._config.release_height
 
     def _go(
         self,
@@ -353,11 +403,11 @@ class GraspExecution:
         *,
         start: np.ndarray,
     ) -> Motion:
-        path = make_path(start, legs, senses.time, wrist=self._wrist)
+        path = self._carrier.path(start, legs, senses.time)
         return replace(motion, phase=phase, path=path, since=senses.time)
 
     def _wait(self, motion: Motion, phase: Phase, senses: Senses) -> Motion:
-        """Stops where the wrist is."""
+        """Stops where the carrier is."""
         return replace(
             motion,
             phase=phase,
@@ -388,16 +438,13 @@ class GraspExecution:
         ready = abs(senses.finger - motion.finger_target) < 0.001
         if not (self._over(motion, senses) and ready):
             return motion
-        config, grasp = self._config, motion.action.grasp
-        suction = grasp.kind is GraspKind.SUCTION
-        beyond = config.cup_overtravel if suction else config.jaw_overtravel
+        config = self._config
+        suction = motion.action.grasp.kind is GraspKind.SUCTION
+        back, touch, last = motion.descent
         legs = [
-            Leg(self._joints(grasp, -config.approach_distance), config.speed),
-            Leg(
-                self._joints(grasp, -config.touch_distance),
-                config.approach_speed,
-            ),
-            Leg(self._joints(grasp, beyond), config.touch_speed),
+            Leg(back, config.speed),
+            Leg(touch, config.approach_speed),
+            Leg(last, config.touch_speed),
         ]
         motion = replace(motion, suction=suction)
         return self._go(
@@ -413,7 +460,8 @@ class GraspExecution:
             return self._wait(motion, following, senses)
         if self.felt(motion, senses) < self._config.contact_force:
             return motion
-        way = (motion.goal - senses.joints)[:3] @ self._direction(motion)
+        way = self._at(motion.goal) - self._at(senses.joints)
+        way = float(way @ self._direction(motion))
         if way > self._config.max_retreat:
             return self._abort(
                 motion, senses, f"stopped {1e3 * way:.0f} mm before the grasp"
@@ -448,14 +496,16 @@ class GraspExecution:
         return motion
 
     def _raise(self, motion: Motion, senses: Senses) -> Motion:
-        top = np.array(motion.path.end)
-        top[_UP] = max(self._config.transit_height, top[_UP])
+        start = motion.path.end
+        top = self._carrier.at_height(
+            start, max(self._transit, self._at(start)[2])
+        )
         return self._go(
             motion,
             Phase.LIFT,
             [Leg(top, self._config.lift_speed)],
             senses,
-            start=motion.path.end,
+            start=start,
         )
 
     def _lift(self, motion: Motion, senses: Senses) -> Motion:
@@ -466,17 +516,11 @@ class GraspExecution:
     def _check(self, motion: Motion, senses: Senses) -> Motion:
         if senses.time - motion.since < self._config.check_time:
             return motion
-        slot = TOTE_SLOTS[motion.carried % len(TOTE_SLOTS)]
-        to = np.array(motion.path.end)
-        X_WT = self._wrist.pose(to)
-        X_TG = np.linalg.inv(self._X_GB[motion.action.grasp.kind])
-        place = np.array(TOTE_POSITION[:2]) + slot
-        to[:2] += place - (X_WT @ X_TG)[:2, 3]
-        to[:2] = np.clip(to[:2], self._wrist.lower[:2], self._wrist.upper[:2])
+        to = self._above_tote(motion, motion.path.end)
         return self._go(
             motion,
             Phase.CARRY,
-            [Leg(to, self._config.speed)],
+            [Leg(to, self._config.speed, free=True)],
             senses,
             start=motion.path.end,
         )
@@ -484,14 +528,15 @@ class GraspExecution:
     def _carry(self, motion: Motion, senses: Senses) -> Motion:
         if not self._over(motion, senses):
             return motion
-        to = np.array(motion.path.end)
-        to[_UP] = min(to[_UP], motion.goal[_UP] + self._config.release_height)
+        start = motion.path.end
+        height = min(self._at(start)[2], self._release_height(motion))
+        to = self._carrier.at_height(start, height)
         return self._go(
             motion,
             Phase.LOWER,
             [Leg(to, self._config.lift_speed)],
             senses,
-            start=motion.path.end,
+            start=start,
         )
 
     def _lower(self, motion: Motion, senses: Senses) -> Motion:
@@ -521,13 +566,12 @@ class GraspExecution:
         holding = motion.phase in _HOLDING
         legs = []
         if motion.phase in _TOUCHING:
-            back = self._joints(
-                motion.action.grasp, -self._config.approach_distance
-            )
-            back[_UP] = max(back[_UP], senses.joints[_UP])
-            legs.append(Leg(back, self._config.lift_speed))
+            back, *_ = motion.descent
+            height = max(self._at(back)[2], self._at(senses.joints)[2])
+            back = self._carrier.at_height(back, height)
+            legs.append(Leg(back, self._config.lift_speed, free=True))
         else:
-            legs.append(Leg(senses.joints, self._config.lift_speed))
+            legs.append(Leg(senses.joints, self._config.lift_speed, free=True))
         motion = self._go(
             motion, Phase.ABORT, legs, senses, start=senses.joints
         )
@@ -546,21 +590,22 @@ class GraspExecution:
 
     def _homeward(self, motion: Motion, senses: Senses) -> Motion:
         start, home = motion.path.end, self._gripper.home
-        up, across = np.array(start), np.array(home)
-        up[_UP] = max(self._config.transit_height, up[_UP])
-        across[_UP] = up[_UP]
+        height = max(self._transit, self._at(start)[2])
+        up = self._carrier.at_height(start, height)
+        across = self._carrier.at_height(home, height)
         speed = self._config.speed
+        legs = [Leg(up, speed), Leg(across, speed), Leg(home, speed)]
         return self._go(
             motion,
             Phase.HOME,
-            [Leg(up, speed), Leg(across, speed), Leg(home, speed)],
+            [replace(leg, free=True) for leg in legs],
             senses,
             start=start,
         )
 
     def _home(self, motion: Motion, senses: Senses) -> Motion:
         if motion.finger_target != 0.0 and (
-            senses.joints[_UP] > self._config.transit_height - 0.01
+            self._at(senses.joints)[2] > self._transit - 0.01
         ):
             motion = replace(motion, finger_target=0.0)
         if not self._over(motion, senses):

@@ -68,11 +68,14 @@ def add_grip_surfaces(
     hard: list[GeometryId] = []
     soft: list[GeometryId] = []
     others: list[GeometryId] = []
+    carrier: list[GeometryId] = []
     for index in map(BodyIndex, range(plant.num_bodies())):
         body = plant.get_body(index)
         hand = body.model_instance() == gripper.finger_instance
         for geometry in plant.GetCollisionGeometriesForBody(body):
             name = inspector.GetName(geometry).split("::")[-1]
+            if body.model_instance() == gripper.carrier_instance:
+                carrier.append(geometry)
             if hand and name == PAD:
                 pads.append(geometry)
             elif index not in gripped:
@@ -86,6 +89,17 @@ def add_grip_surfaces(
     declaration.ExcludeWithin(GeometrySet(hard))
     declaration.ExcludeBetween(GeometrySet(hard), feeling)
     declaration.ExcludeBetween(GeometrySet(pads), GeometrySet(soft))
+    # Its capsules overlap with the gripper where the last axes bend.
+    declaration.ExcludeBetween(
+        GeometrySet(carrier),
+        GeometrySet(
+            [
+                geometry
+                for body in gripper.bodies(plant)
+                for geometry in plant.GetCollisionGeometriesForBody(body)
+            ]
+        ),
+    )
     scene_graph.collision_filter_manager().Apply(declaration)
 
 

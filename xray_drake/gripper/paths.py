@@ -1,30 +1,52 @@
-"""Smooth paths of the wrist's joints, within its limits."""
+"""Smooth paths of joints, within their limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from pydrake.trajectories import BezierCurve, CompositeTrajectory
+from pydrake.trajectories import (
+    BezierCurve,
+    CompositeTrajectory,
+    PathParameterizedTrajectory,
+    PiecewisePolynomial,
+)
 
-from xray_drake.gripper.wrist import Wrist
 from xray_drake.messages import Message
 
 _PEAK_SPEED = 1.875
 _PEAK_ACCELERATION = 10 / np.sqrt(3.0)
 """Of s(t) = 10 t³ − 15 t⁴ + 6 t⁵, which goes from rest at 0 to rest at 1."""
 
+_SPARE = 1.01
+"""Limits are looked at in samples; so much more time keeps between them."""
+
+
+class Limits(Protocol):
+    """What bounds the motion of joints."""
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """The (n,) highest speeds, m/s or rad/s."""
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """The (n,) highest accelerations, m/s² or rad/s²."""
+
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A straight way through joint space.
+    """A way on which the tool's origin goes straight.
 
     Attributes:
-        end: (6,) joint positions.
+        end: (n,) joint positions.
         speed: the tool's origin goes no faster, m/s.
+        free: it need not go straight, if only it does not swing far out.
     """
 
     end: np.ndarray
     speed: float = np.inf
+    free: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +54,7 @@ class Path(Message):
     """Joint positions over time; at rest before and after.
 
     Attributes:
-        trajectory: Drake's, of six rows.
+        trajectory: Drake's, of as many rows as there are joints.
     """
 
     trajectory: CompositeTrajectory
@@ -44,16 +66,22 @@ class Path(Message):
 
     @property
     def end(self) -> np.ndarray:
-        """The (6,) joint positions that it leads to."""
+        """The (n,) joint positions that it leads to."""
         return self.trajectory.value(self.end_time)[:, 0]
 
     def sample(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns (6,) joint positions and (6,) velocities at a time (s)."""
+        """Returns (n,) joint positions and (n,) velocities at a time (s)."""
         time = min(max(time, self.trajectory.start_time()), self.end_time)
         return (
             self.trajectory.value(time)[:, 0],
             self.trajectory.EvalDerivative(time, 1)[:, 0],
         )
+
+    def acceleration(self, time: float) -> np.ndarray:
+        """Returns (n,) accelerations of the joints at a time (s)."""
+        if not self.trajectory.start_time() <= time <= self.end_time:
+            return np.zeros(self.trajectory.rows())
+        return self.trajectory.EvalDerivative(time, 2)[:, 0]
 
 
 def make_path(
@@ -61,13 +89,13 @@ def make_path(
     legs: Sequence[Leg],
     begin: float,
     *,
-    wrist: Wrist,
+    wrist: Limits,
     shortest: float = 0.05,
 ) -> Path:
     """Returns a path from rest to rest along legs, resting between them.
 
-    Each leg is as fast as its own speed and the wrist's velocity and
-    acceleration limits let a quintic in time be.
+    Each leg is straight through joint space, and as fast as its own speed and
+    the wrist's velocity and acceleration limits let a quintic in time be.
 
     Args:
         start: (6,) joint positions.
@@ -92,8 +120,76 @@ def make_path(
 
 
 def stay(q: np.ndarray, begin: float, duration: float) -> Path:
-    """Returns a path that stays at joint positions (6,)."""
+    """Returns a path that stays at joint positions (n,)."""
     points = np.column_stack([q] * 6)
     return Path(
         CompositeTrajectory([BezierCurve(begin, begin + duration, points)])
+    )
+
+
+def timed_curve(
+    knots: np.ndarray,
+    points: np.ndarray,
+    begin: float,
+    *,
+    speed: float,
+    tool_acceleration: float,
+    limits: Limits,
+    shortest: float = 0.05,
+) -> PathParameterizedTrajectory:
+    """Returns a smooth curve through knots, from rest to rest.
+
+    It goes along its parameter as a quintic in time, as fast as the limits let
+    it.
+
+    Args:
+        knots: (m, n) joint positions, evenly along the way.
+        points: (m, 3) where the tool's origin is there, m.
+        begin: s.
+        speed: the tool's origin goes no faster, m/s.
+        tool_acceleration: it accelerates no more, m/s².
+        limits: of the n joints.
+        shortest: least duration, s.
+    """
+    if len(knots) < 4:  # As few as a spline can do with.
+        old, new = np.linspace(0, 1, len(knots)), np.linspace(0, 1, 4)
+        knots, points = (
+            np.column_stack([np.interp(new, old, row) for row in values.T])
+            for values in (knots, points)
+        )
+    u = np.linspace(0, 1, len(knots))
+    joints, tool = (
+        PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+            u, values.T, False
+        )
+        for values in (knots, points)
+    )
+    s = np.linspace(0, 1, 8 * len(knots) + 1)
+    at = np.clip(s**3 * (10 - 15 * s + 6 * s**2), 0, 1)
+    rate = 30 * s**2 * (1 - s) ** 2
+    bend = 60 * s * (1 - s) * (1 - 2 * s)
+
+    def motion(curve: PiecewisePolynomial) -> tuple[np.ndarray, np.ndarray]:
+        """Returns velocity and acceleration if it took 1 s, (samples, …)."""
+        first, second = curve.derivative(1), curve.derivative(2)
+        d1 = np.array([first.value(x)[:, 0] for x in at])
+        d2 = np.array([second.value(x)[:, 0] for x in at])
+        return d1 * rate[:, None], (
+            d2 * rate[:, None] ** 2 + d1 * bend[:, None]
+        )
+
+    v, a = motion(joints)
+    v_tool, a_tool = motion(tool)
+    duration = _SPARE * max(
+        shortest,
+        float((np.abs(v) / limits.velocity).max()),
+        float(np.sqrt((np.abs(a) / limits.acceleration).max())),
+        float(np.linalg.norm(v_tool, axis=1).max()) / speed,
+        float(
+            np.sqrt(np.linalg.norm(a_tool, axis=1).max() / tool_acceleration)
+        ),
+    )
+    way = np.array([[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]])
+    return PathParameterizedTrajectory(
+        joints, BezierCurve(begin, begin + duration, way)
     )

@@ -1,18 +1,21 @@
-"""Kinematics of the Cartesian wrist: joint positions and tool poses."""
+"""Kinematics and paths of the Cartesian wrist."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from xray_drake.gripper.carrier import Lag, ReachError
+from xray_drake.gripper.paths import Leg, Path, make_path
 from xray_drake.messages import Message
 
 JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
 """The wrist's joints in the order of all vectors here: m and rad."""
 
 
-class ReachError(ValueError):
-    """A pose that the wrist cannot take; the message is one line."""
+_UP = 2
+"""Index of the vertical slide among the joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +40,16 @@ class Wrist(Message):
     velocity: np.ndarray
     acceleration: np.ndarray
     stiffness: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return "wrist"
+
+    @property
+    def highest(self) -> float:
+        """The tool's origin is carried about no higher than this, m."""
+        return float(self.upper[_UP])
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the 4×4 pose X_WT at joint positions (6,)."""
@@ -75,3 +88,59 @@ class Wrist(Message):
             names = ", ".join(np.array(JOINTS)[beyond])
             raise ReachError(f"out of the wrist's reach: {names}")
         return q
+
+    def along(
+        self, poses: Sequence[np.ndarray], *, near: np.ndarray
+    ) -> list[np.ndarray]:
+        """Returns joint positions at poses that a straight way leads through.
+
+        Raises:
+            ReachError: beyond the joints' limits.
+        """
+        return [self.joints(X_WT, near=near) for X_WT in poses]
+
+    def at_height(self, q: np.ndarray, height: float) -> np.ndarray:
+        """Returns q with the tool straight above or below, at a height (m)."""
+        q = np.array(q)
+        q[_UP] = height
+        return q
+
+    def over(
+        self,
+        q: np.ndarray,
+        p_T: np.ndarray,
+        place: np.ndarray,
+        *,
+        lowest: float,
+    ) -> np.ndarray:
+        """Returns q with a point of the tool over a place, or as near as it is.
+
+        Args:
+            q: (6,) joint positions.
+            p_T: (3,) the point in the tool frame, m.
+            place: (2,) in the world, m.
+            lowest: for other carriers; a wrist comes down anywhere.
+        """
+        q = np.array(q)
+        X_WT = self.pose(q)
+        q[:2] += place - (X_WT[:3, :3] @ p_T + X_WT[:3, 3])[:2]
+        q[:2] = np.clip(q[:2], self.lower[:2], self.upper[:2])
+        return q
+
+    def force(self, lag: Lag) -> np.ndarray:
+        """Returns the (3,) force that the tool presses with, N.
+
+        The wrist is so light that what accelerates it does not matter.
+        """
+        return (self.stiffness * lag.position)[:3]
+
+    def path(
+        self, start: np.ndarray, legs: Sequence[Leg], begin: float
+    ) -> Path:
+        """Returns a path from rest to rest along legs, resting between them."""
+        return make_path(start, legs, begin, wrist=self)
+
+    def slowed(self, acceleration: float) -> "Wrist":
+        """Returns one whose slides accelerate no more than this, m/s²."""
+        limit = np.where(np.arange(6) < 3, acceleration, np.inf)
+        return replace(self, acceleration=np.minimum(self.acceleration, limit))

@@ -1,12 +1,16 @@
-"""Puts the YuMi-like gripper on its wrist into a MultibodyPlant."""
+"""Puts the YuMi-like gripper on its carrier into a MultibodyPlant."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody
 
+from xray_drake.gripper import arm_cell
+from xray_drake.gripper.arm import Arm
+from xray_drake.gripper.arm_cell import ArmCell, add_arm_model
+from xray_drake.gripper.carrier import CARRIERS, Carrier
 from xray_drake.gripper.wrist import JOINTS, Wrist
 from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.parsing import configure_parser
@@ -15,24 +19,25 @@ HOME = np.array(
     [[1.0, 0, 0, 0.0], [0, -1.0, 0, 0.32], [0, 0, -1.0, 0.34], [0, 0, 0, 1]]
 )
 """Where the jaw waits: pointing down, beside the overhead camera's view."""
-
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 
 
 @dataclass(frozen=True, eq=False)
 class YumiGripper:
-    """The gripper and its wrist as they stand in a plant.
+    """The gripper and its carrier as they stand in a plant.
 
     Each model instance has the plant's own ports: the state is positions, then
     velocities; the desired state, which must be connected, is the same.
 
     Attributes:
-        wrist_instance: six joints, see :data:`xray_drake.gripper.wrist.JOINTS`.
+        carrier_instance: the joints of the wrist, see
+            :data:`xray_drake.gripper.wrist.JOINTS`, or of the arm, see
+            :data:`xray_drake.gripper.arm_cell.JOINTS`.
         finger_instance: the joints of the left and of the right finger, each
             from open (0) to closed (25 mm).
-        base: the gripper's body, whose frame B is the wrist's tool frame.
-        wrist: the wrist's kinematics and limits.
-        home: (6,) positions of the wrist's joints at home.
+        base: the gripper's body, whose frame B is the carrier's tool frame.
+        carrier: its kinematics, limits and paths.
+        home: (n,) positions of the carrier's joints at home.
         X_BJ: 4×4 pose of the jaw frame in B, m.
         X_BC: 4×4 pose of the cup frame in B, m.
         finger_travel: of each finger, m.
@@ -41,10 +46,10 @@ class YumiGripper:
         finger_stiffness: of the position control of each finger, N/m.
     """
 
-    wrist_instance: ModelInstanceIndex
+    carrier_instance: ModelInstanceIndex
     finger_instance: ModelInstanceIndex
     base: RigidBody
-    wrist: Wrist
+    carrier: Carrier
     home: np.ndarray
     X_BJ: np.ndarray
     X_BC: np.ndarray
@@ -62,7 +67,10 @@ class YumiGripper:
 
 
 def add_gripper(
-    plant: MultibodyPlant, *, home: np.ndarray = HOME
+    plant: MultibodyPlant,
+    *,
+    home: np.ndarray = HOME,
+    carrier: str = CARRIERS[0],
 ) -> YumiGripper:
     """Adds the gripper to a plant, at home and open in the default context.
 
@@ -73,7 +81,8 @@ def add_gripper(
 
     Args:
         plant: discrete, not finalized.
-        home: 4×4 pose X_WJ of the jaw.
+        home: 4×4 pose X_WJ of the jaw on the wrist; an arm has its own.
+        carrier: one of :data:`xray_drake.gripper.carrier.CARRIERS`.
 
     Raises:
         ReachError: the wrist cannot be at home.
@@ -81,24 +90,67 @@ def add_gripper(
     parser = Parser(plant)
     configure_parser(parser)
     folder = f"package://{PACKAGE_NAME}/gripper"
-    (arm,) = parser.AddModelsFromUrl(f"{folder}/wrist.sdf")
+    if carrier == "arm":
+        arm, tool = add_arm_model(plant)
+    else:
+        (arm,) = parser.AddModelsFromUrl(f"{folder}/wrist.sdf")
+        tool = plant.GetFrameByName("tool", arm)
+        plant.WeldFrames(
+            plant.world_frame(), plant.GetFrameByName("wrist_base", arm)
+        )
     (hand,) = parser.AddModelsFromUrl(f"{folder}/yumi_gripper.sdf")
     base = plant.GetBodyByName("gripper_base", hand)
-    tool = plant.GetFrameByName("tool", arm)
-    plant.WeldFrames(
-        plant.world_frame(), plant.GetFrameByName("wrist_base", arm)
-    )
     plant.WeldFrames(tool, base.body_frame())
     for instance in (arm, hand):
         plant.set_gravity_enabled(instance, False)
     left, right = (plant.GetJointByName(name, hand) for name in FINGER_JOINTS)
     plant.AddCouplerConstraint(left, right, 1.0)
 
-    joints = [plant.GetJointByName(f"wrist_{name}", arm) for name in JOINTS]
-    actuators = [
-        plant.GetJointActuatorByName(joint.name(), arm) for joint in joints
+    X_BJ, X_BC = (
+        plant.GetFrameByName(name, hand)
+        .GetFixedPoseInBodyFrame()
+        .GetAsMatrix4()
+        for name in ("jaw", "cup")
+    )
+    kinematics: Arm | Wrist
+    if carrier == "arm":
+        names = [f"arm_{name}" for name in arm_cell.JOINTS]
+        kinematics = Arm(ArmCell())
+        q_home = kinematics.home
+    else:
+        names = [f"wrist_{name}" for name in JOINTS]
+        kinematics = _wrist(plant, arm, tool)
+        q_home = kinematics.joints(
+            home @ np.linalg.inv(X_BJ), near=np.zeros(len(names))
+        )
+    for name, position in zip(names, q_home, strict=True):
+        plant.GetJointByName(name, arm).set_default_positions([position])
+    finger = plant.GetJointActuatorByName(FINGER_JOINTS[0], hand)
+    return YumiGripper(
+        carrier_instance=arm,
+        finger_instance=hand,
+        base=base,
+        carrier=kinematics,
+        home=q_home,
+        X_BJ=X_BJ,
+        X_BC=X_BC,
+        finger_travel=float(left.position_upper_limits()[0]),
+        finger_speed=float(left.velocity_upper_limits()[0]),
+        finger_force=finger.effort_limit(),
+        finger_stiffness=finger.get_controller_gains().p,
+    )
+
+
+def _wrist(
+    plant: MultibodyPlant, instance: ModelInstanceIndex, tool: Frame
+) -> Wrist:
+    joints = [
+        plant.GetJointByName(f"wrist_{name}", instance) for name in JOINTS
     ]
-    wrist = Wrist(
+    actuators = [
+        plant.GetJointActuatorByName(joint.name(), instance) for joint in joints
+    ]
+    return Wrist(
         R_FT=tool.GetFixedPoseInBodyFrame().rotation().matrix(),
         lower=np.concatenate([j.position_lower_limits() for j in joints]),
         upper=np.concatenate([j.position_upper_limits() for j in joints]),
@@ -107,27 +159,4 @@ def add_gripper(
             [j.acceleration_upper_limits() for j in joints]
         ),
         stiffness=np.array([a.get_controller_gains().p for a in actuators]),
-    )
-    X_BJ, X_BC = (
-        plant.GetFrameByName(name, hand)
-        .GetFixedPoseInBodyFrame()
-        .GetAsMatrix4()
-        for name in ("jaw", "cup")
-    )
-    q_home = wrist.joints(home @ np.linalg.inv(X_BJ), near=np.zeros(6))
-    for joint, position in zip(joints, q_home, strict=True):
-        joint.set_default_positions([position])
-    finger = plant.GetJointActuatorByName(FINGER_JOINTS[0], hand)
-    return YumiGripper(
-        wrist_instance=arm,
-        finger_instance=hand,
-        base=base,
-        wrist=wrist,
-        home=q_home,
-        X_BJ=X_BJ,
-        X_BC=X_BC,
-        finger_travel=float(left.position_upper_limits()[0]),
-        finger_speed=float(left.velocity_upper_limits()[0]),
-        finger_force=finger.effort_limit(),
-        finger_stiffness=finger.get_controller_gains().p,
     )

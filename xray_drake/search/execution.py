@@ -151,11 +151,11 @@ def _contact(
     rest = builder.AddSystem(RestSensor(objects=heap.models, bodies=bodies))
     velocities = "body_spatial_velocities"
     wires: list[_Wire] = [
-        (station, "wrist.state", controller, "wrist_state"),
+        (station, "carrier.state", controller, "carrier_state"),
         (station, "fingers.state", controller, "finger_state"),
         (cup, "state", controller, "cup_state"),
         (rest, "at_rest", controller, "at_rest"),
-        (controller, "wrist_desired_state", station, "wrist.desired_state"),
+        (controller, "carrier_desired_state", station, "carrier.desired_state"),
         (controller, "finger_desired_state", station, "fingers.desired_state"),
         (controller, "suction", cup, "suction"),
         (station, "cheat.body_poses", cup, "body_poses"),

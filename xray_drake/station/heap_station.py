@@ -60,7 +60,8 @@ def build_heap_station(
     - ``gripper.position``: where the gripper is drawn, see
       :class:`xray_drake.gripper.quasi_static.QuasiStaticGripper`; or, where the
       gripper is a body of the plant since execution is by contact,
-      ``wrist.desired_state`` (12) and ``fingers.desired_state`` (4), see
+      ``carrier.desired_state`` (2 n, of n joints) and
+      ``fingers.desired_state`` (4), see
       :class:`xray_drake.gripper.controller.GripperController`.
 
     Output ports, rendered or computed only when looked at:
@@ -69,7 +70,7 @@ def build_heap_station(
       ``overhead.label_image`` (ImageLabel16I, body indices);
     - ``overhead.camera``: PinholeCamera;
     - ``query_object``, ``contact_results``;
-    - ``wrist.state`` (12), ``fingers.state`` (4), by contact;
+    - ``carrier.state`` (2 n), ``fingers.state`` (4), by contact;
     - ``cheat.body_poses``, ``cheat.body_spatial_velocities``: ground truth,
       which a real robot does not have.
 
@@ -90,7 +91,7 @@ def build_heap_station(
         item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))
     gripper = None
     if scenario.gripper.execution == "contact":
-        gripper = add_gripper(plant)
+        gripper = add_gripper(plant, carrier=scenario.gripper.carrier)
         add_grip_surfaces(plant, scene_graph, gripper, items)
     plant.Finalize()
     if gripper is None:
@@ -143,7 +144,7 @@ def _export_gripper(
     builder: DiagramBuilder, plant: MultibodyPlant, gripper: YumiGripper
 ) -> None:
     for name, instance in (
-        ("wrist", gripper.wrist_instance),
+        ("carrier", gripper.carrier_instance),
         ("fingers", gripper.finger_instance),
     ):
         builder.ExportInput(

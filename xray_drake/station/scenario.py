@@ -31,6 +31,7 @@ from xray_drake.choices import (
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
+from xray_drake.gripper.carrier import CARRIERS
 from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
@@ -155,6 +156,9 @@ class GripperConfig:
     # How grasps are executed: "quasi_static", where an ideal gripper lifts what
     # the analysis says would hold; or "contact", with fingers and suction cup.
     execution: str = "quasi_static"
+    # What carries the gripper of "contact": "wrist", three slides and three
+    # turns; or "arm", seven turning joints that do not reach everywhere.
+    carrier: str = "wrist"
     # What the gripper can do.
     parameters: GripperParameters = field(default_factory=GripperParameters)
     # How "models" searches for grasps.
@@ -358,6 +362,7 @@ def check_scenario(
         ("policy.name", scenario.policy.name, POLICIES),
         ("gripper.grasps", scenario.gripper.grasps, GRASPS),
         ("gripper.execution", scenario.gripper.execution, EXECUTIONS),
+        ("gripper.carrier", scenario.gripper.carrier, CARRIERS),
     ):
         if value not in choices:
             raise ScenarioError(

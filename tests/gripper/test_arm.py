@@ -1,0 +1,211 @@
+"""The arm's joint positions and paths, and the gripper on it."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
+
+from tests.gripper.test_controller import Cell, take
+from tests.gripper.test_execution import WHOLE_WAY, Script
+from tests.gripper.test_execution import take as take_brick
+from xray_drake.gripper.arm import Arm
+from xray_drake.gripper.arm_cell import MOUNT, ArmCell
+from xray_drake.gripper.carrier import Lag, ReachError
+from xray_drake.gripper.execution import ExecutionConfig, Phase
+from xray_drake.gripper.paths import Leg
+from xray_drake.gripper.yumi import YumiGripper, add_gripper
+from xray_drake.messages import GraspKind, Outcome
+from xray_drake.scene.cameras import add_camera
+from xray_drake.scene.plant import (
+    TOTE_POSITION,
+    add_bin,
+    add_plant,
+    default_plant_config,
+)
+from xray_drake.scene.targets import target_model
+from xray_drake.station.scenario import nominal_camera
+
+LIFT = 0.2
+
+
+@pytest.fixture(scope="module")
+def gripper() -> YumiGripper:
+    plant = MultibodyPlant(0.005)
+    gripper = add_gripper(plant, carrier="arm")
+    plant.Finalize()
+    return gripper
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm(ArmCell(), tool_acceleration=4.0)
+
+
+def down(x: float, y: float, z: float, yaw: float) -> np.ndarray:
+    """The tool's pose, pointing down."""
+    X_WT = np.eye(4)
+    X_WT[:3, :3] = Rotation.from_euler("ZX", [yaw, np.pi]).as_matrix()
+    X_WT[:3, 3] = x, y, z
+    return X_WT
+
+
+def grasps(number: int) -> list[np.ndarray]:
+    """Poses of the tool over the middle of the bin."""
+    rng = np.random.default_rng(3)
+    return [
+        down(*rng.uniform([-0.15, -0.1, 0.13, -3.0], [0.1, 0.1, 0.18, 3.0]))
+        for _ in range(number)
+    ]
+
+
+def higher(X_WT: np.ndarray, by: float = LIFT) -> np.ndarray:
+    X_WT = np.array(X_WT)
+    X_WT[2, 3] += by
+    return X_WT
+
+
+@pytest.mark.parametrize("X_WT", grasps(6))
+def test_joints_give_the_pose_they_are_asked_for(
+    arm: Arm, X_WT: np.ndarray
+) -> None:
+    q = arm.joints(X_WT, near=arm.home)
+    np.testing.assert_allclose(arm.pose(q), X_WT, atol=1e-6)
+    assert np.all((arm.cell.lower <= q) & (q <= arm.cell.upper))
+    assert arm.cell.is_clear(q)
+
+
+@pytest.mark.parametrize("X_WT", grasps(4))
+def test_it_lifts_straight_up(arm: Arm, X_WT: np.ndarray) -> None:
+    low, high = arm.along([X_WT, higher(X_WT)], near=arm.home)
+    np.testing.assert_allclose(arm.pose(high), higher(X_WT), atol=1e-6)
+    path = arm.path(low, [Leg(high, 0.3)], 2.0)
+    np.testing.assert_allclose(path.end, high, atol=1e-9)
+    heights = []
+    for time in np.linspace(2.0, path.end_time, 80):
+        X = arm.pose(path.sample(time)[0])
+        np.testing.assert_allclose(X[:2, 3], X_WT[:2, 3], atol=5e-4)
+        turn = Rotation.from_matrix(X[:3, :3].T @ X_WT[:3, :3]).magnitude()
+        assert turn < np.deg2rad(0.2)
+        heights.append(X[2, 3])
+    assert np.all(np.diff(heights) > -1e-6)
+
+
+def test_paths_keep_the_limits_and_do_not_jump(arm: Arm) -> None:
+    low, high = arm.along([grasps(1)[0], higher(grasps(1)[0])], near=arm.home)
+    legs = [
+        Leg(high, 0.8, free=True),
+        Leg(low, 0.15),
+        Leg(high, 0.3),
+        Leg(arm.home, 0.8, free=True),
+    ]
+    path = arm.path(arm.home, legs, 0.0)
+    times = np.arange(0, path.end_time, 0.01)
+    q, v = (np.array(x) for x in zip(*map(path.sample, times), strict=True))
+    a = np.array([path.acceleration(time) for time in times])
+    assert np.all(np.abs(v) <= arm.velocity)
+    assert np.all(np.abs(a) <= arm.acceleration)
+    assert np.all((arm.cell.lower <= q) & (q <= arm.cell.upper))
+    # Positions and velocities belong together, from leg to leg, too.
+    np.testing.assert_allclose(
+        np.diff(q, axis=0), 0.01 * (v[1:] + v[:-1]) / 2, atol=5e-4
+    )
+    tool = np.array([arm.pose(position)[:3, 3] for position in q])
+    speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) / 0.01
+    assert speed.max() <= 0.8
+    bend = np.linalg.norm(np.diff(tool, 2, axis=0), axis=1) / 0.01**2
+    assert bend.max() <= 1.05 * arm.tool_acceleration
+    for time in (0.0, path.end_time):
+        np.testing.assert_allclose(path.sample(time)[1], 0, atol=1e-6)
+    assert all(map(arm.cell.is_clear, q[::10]))
+
+
+def test_it_carries_level_and_round_its_base(arm: Arm) -> None:
+    _, high = arm.along([grasps(1)[0], higher(grasps(1)[0])], near=arm.home)
+    place = np.array(TOTE_POSITION[:2])
+    there = arm.over(high, np.array([0, 0, 0.1142]), place, lowest=0.15)
+    np.testing.assert_allclose(arm.pose(there)[:2, 3], place, atol=1e-6)
+    path = arm.path(high, [Leg(there, 0.8, free=True)], 0.0)
+    for time in np.linspace(0, path.end_time, 40):
+        X = arm.pose(path.sample(time)[0])
+        assert X[2, 2] < -np.cos(np.deg2rad(1.0))
+        assert X[2, 3] == pytest.approx(arm.pose(high)[2, 3], abs=2e-3)
+        assert np.linalg.norm(X[:2, 3] - MOUNT[:2, 3]) > 0.1
+
+
+def test_out_of_reach_is_said_in_a_line(arm: Arm) -> None:
+    with pytest.raises(ReachError, match=r"^out of the arm's reach: tool at"):
+        arm.joints(down(-0.6, 0.0, 0.2, 0.0), near=arm.home)
+    low = grasps(1)[0]
+    with pytest.raises(ReachError, match="straight on from the tool at"):
+        arm.along([low, higher(low, 0.8)], near=arm.home)
+    with pytest.raises(ReachError, match=r"carry it over \(2\.00, 0\.00\) m"):
+        arm.over(
+            arm.home, np.zeros(3), np.array([2.0, 0.0]), lowest=arm.highest
+        )
+
+
+def test_it_goes_as_high_as_it_can(arm: Arm) -> None:
+    q = arm.at_height(arm.home, 0.25)
+    assert arm.pose(q)[2, 3] == pytest.approx(0.25)
+    assert arm.pose(arm.at_height(q, 2.0))[2, 3] < 1.5
+
+
+def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
+    q = arm.joints(grasps(1)[0], near=arm.home)
+    press = np.array([0.0, 0.0, -5.0])
+    torque = arm.cell.jacobian(q)[3:].T @ press
+    acceleration = np.full(7, 0.7)
+    v = np.full(7, 0.5)
+    held = torque + arm.cell.inertial_torque(q, v, acceleration)
+    lag = Lag(q, v, held / arm.stiffness, np.zeros(7), acceleration)
+    np.testing.assert_allclose(arm.force(lag), press, atol=1e-6)
+
+
+def test_at_home_it_is_out_of_the_cameras_view() -> None:
+    builder = DiagramBuilder()
+    scene_graph: SceneGraph
+    plant, scene_graph = add_plant(builder, default_plant_config())
+    add_bin(plant)
+    add_gripper(plant, carrier="arm")
+    plant.Finalize()
+    sensor, _ = add_camera(builder, scene_graph, nominal_camera())
+    builder.ExportOutput(sensor.label_image_output_port(), "label")
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    labels = diagram.GetOutputPort("label").Eval(context).data
+    bin_label = int(plant.GetBodyByName("bin").index())
+    assert set(np.unique(labels)) <= {
+        bin_label,
+        *(label for label in np.unique(labels) if label > 32000),
+    }
+
+
+def test_a_grasp_from_start_to_end(gripper: YumiGripper) -> None:
+    script = Script(gripper)
+    status = script.run(take_brick())
+    assert script.phases == WHOLE_WAY
+    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
+    lowest = np.array(take_brick().grasp.X_WG)
+    lowest[2, 3] -= ExecutionConfig().jaw_overtravel
+    np.testing.assert_allclose(script.tool(Phase.CLOSE), lowest, atol=1e-5)
+    np.testing.assert_allclose(script.way[-1][3], gripper.home, atol=1e-6)
+
+
+def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:
+    script = Script(gripper)
+    status = script.run(take_brick(z=-0.4))
+    assert status.outcome is Outcome.FAILED
+    assert status.reason.startswith("out of the arm's reach: ")
+    assert len(script.phases) == 1
+
+
+def test_by_contact_it_brings_an_object_to_the_tote() -> None:
+    model = target_model("box_2to1")
+    cell = Cell(model, carrier="arm")
+    status, way = cell.run(
+        take(GraspKind.JAW, model.name, (0.05, 0.02, 0.0035), 0.0212)
+    )
+    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
+    assert np.all(np.abs(way[-1, :2] - TOTE_POSITION[:2]) < 0.18)

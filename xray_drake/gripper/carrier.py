@@ -1,0 +1,138 @@
+"""What moves the gripper about: all that its controller needs to know."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from xray_drake.gripper.paths import Leg, Path
+
+CARRIERS = ("wrist", "arm")
+"""What can carry the gripper; the first is the default."""
+
+
+class ReachError(ValueError):
+    """A pose that a carrier cannot take; the message is one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lag:
+    """How far joints are behind what is desired of them.
+
+    Attributes:
+        q: (n,) where they are, m or rad.
+        v: (n,) how fast they go.
+        position: (n,) desired less actual, m or rad.
+        velocity: (n,) the same of their velocities.
+        acceleration: (n,) what is desired.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+class Carrier(Protocol):
+    """A wrist or an arm with n joints that holds the gripper at its tool frame.
+
+    The tool frame T is the frame of the gripper's base. Poses X_WT are 4×4, m;
+    joint positions q are (n,), m or rad.
+    """
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """The (n,) highest speeds of its joints, m/s or rad/s."""
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """The (n,) highest accelerations, m/s² or rad/s²."""
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """The (n,) stiffness of the position control, N/m or N·m/rad."""
+
+    @property
+    def highest(self) -> float:
+        """The tool's origin is carried about no higher than this, m."""
+
+    def pose(self, q: np.ndarray) -> np.ndarray:
+        """Returns the pose X_WT at joint positions."""
+
+    def joints(self, X_WT: np.ndarray, *, near: np.ndarray) -> np.ndarray:
+        """Returns joint positions at a pose; of several those ``near`` others.
+
+        Raises:
+            ReachError: there are none.
+        """
+
+    def along(
+        self, poses: Sequence[np.ndarray], *, near: np.ndarray
+    ) -> list[np.ndarray]:
+        """Returns joint positions at poses that a straight way leads through.
+
+        Args:
+            poses: X_WT, one or more.
+            near: joint positions; of several solutions those near them.
+
+        Raises:
+            ReachError: it cannot be at one of them, or not go straight.
+        """
+
+    def at_height(self, q: np.ndarray, height: float) -> np.ndarray:
+        """Returns q with the tool straight above or below.
+
+        Where the tool cannot go as far, it goes as far as it can.
+
+        Args:
+            q: joint positions.
+            height: of the tool's origin, m.
+        """
+
+    def over(
+        self,
+        q: np.ndarray,
+        p_T: np.ndarray,
+        place: np.ndarray,
+        *,
+        lowest: float,
+    ) -> np.ndarray:
+        """Returns q with a point of the tool over a place.
+
+        The tool keeps its height and its tilt; it may turn about the vertical.
+
+        Args:
+            q: joint positions.
+            p_T: (3,) the point in the tool frame, m.
+            place: (2,) in the world, m.
+            lowest: height that the tool's origin is to come down to there, m.
+
+        Raises:
+            ReachError: beyond its reach.
+        """
+
+    def force(self, lag: Lag) -> np.ndarray:
+        """Returns the (3,) force that the tool presses with, N."""
+
+    def path(
+        self, start: np.ndarray, legs: Sequence[Leg], begin: float
+    ) -> Path:
+        """Returns a path from rest to rest along legs, resting between them.
+
+        Args:
+            start: joint positions.
+            legs: one or more.
+            begin: s.
+
+        Raises:
+            ReachError: it cannot go along a straight leg.
+        """
+
+    def slowed(self, acceleration: float) -> "Carrier":
+        """Returns one whose tool's origin accelerates no more, m/s²."""
