@@ -29,3 +29,6 @@ SEGMENTERS = ("ground_truth", "depth")
 OCCUPANCIES = ("learned", "posterior", "exact")
 GRASPS = ("models", "depth")
 EXECUTIONS = ("quasi_static", "contact")
+
+CARRIERS = ("wrist", "arm")
+"""What carries the gripper by contact."""

@@ -33,6 +33,7 @@ def test_options_replace_fields_of_the_scenario() -> None:
         scale=0.001,
         policy="oracle",
         execution="contact",
+        carrier="arm",
     )
     scenario = configure("demo", said)
     assert scenario.scene.target == "cube"
@@ -40,6 +41,7 @@ def test_options_replace_fields_of_the_scenario() -> None:
     assert scenario.scene.mesh_scale == 0.001
     assert scenario.policy.name == "oracle"
     assert scenario.gripper.execution == "contact"
+    assert scenario.gripper.carrier == "arm"
 
 
 def test_a_number_that_was_asked_for_is_not_random() -> None:

@@ -87,8 +87,9 @@ def scene() -> Scene:
 def test_pads_meet_the_hard_surfaces_and_nothing_else_does(
     scene: Scene,
 ) -> None:
-    # The jaw about the first object, and the second into it and the floor.
-    touching = scene.touching((0.0, 0.0, 0.01), 0.0, 0.03)
+    # The jaw about the first object, a finger well into it, and the second
+    # into it and the floor.
+    touching = scene.touching((0.0, 0.005, 0.01), 0.0, 0.03)
     assert frozenset({PAD, GRIP}) in touching
     assert frozenset({PAD, "piece"}) not in touching
     assert {pair for pair in touching if GRIP in pair} == {

@@ -9,6 +9,7 @@ import typer
 
 from xray_drake.choices import (
     BOX_TARGETS,
+    CARRIERS,
     DETECTORS,
     EXECUTIONS,
     GRASPS,
@@ -67,6 +68,10 @@ TargetFirst = Annotated[
     ),
 ]
 Execution = Annotated[str | None, typer.Option(help=f"{one_of(EXECUTIONS)}.")]
+Carrier = Annotated[
+    str | None,
+    typer.Option(help=f"{one_of(CARRIERS)}: of the gripper by contact."),
+]
 Occupancy = Annotated[str | None, typer.Option(help=f"{one_of(OCCUPANCIES)}.")]
 Occupancies = Annotated[
     str,
@@ -112,6 +117,7 @@ _FIELDS = {
     "seed": "seed",
     "horizon": "horizon",
     "execution": "gripper.execution",
+    "carrier": "gripper.carrier",
     "grasps": "gripper.grasps",
     "occupancy": "perception.occupancy",
     "weights": "perception.weights",

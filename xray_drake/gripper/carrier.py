@@ -8,9 +8,6 @@ import numpy as np
 
 from xray_drake.gripper.paths import Leg, Path
 
-CARRIERS = ("wrist", "arm")
-"""What can carry the gripper; the first is the default."""
-
 
 class ReachError(ValueError):
     """A pose that a carrier cannot take; the message is one line."""

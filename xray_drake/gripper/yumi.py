@@ -7,10 +7,11 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody
 
+from xray_drake.choices import CARRIERS
 from xray_drake.gripper import arm_cell
 from xray_drake.gripper.arm import Arm
 from xray_drake.gripper.arm_cell import ArmCell, add_arm_model
-from xray_drake.gripper.carrier import CARRIERS, Carrier
+from xray_drake.gripper.carrier import Carrier
 from xray_drake.gripper.wrist import JOINTS, Wrist
 from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.parsing import configure_parser
@@ -82,7 +83,7 @@ def add_gripper(
     Args:
         plant: discrete, not finalized.
         home: 4×4 pose X_WJ of the jaw on the wrist; an arm has its own.
-        carrier: one of :data:`xray_drake.gripper.carrier.CARRIERS`.
+        carrier: one of :data:`xray_drake.choices.CARRIERS`.
 
     Raises:
         ReachError: the wrist cannot be at home.

@@ -19,6 +19,7 @@ from pydrake.systems.sensors import CameraConfig
 from pydrake.visualization import VisualizationConfig
 
 from xray_drake.choices import (
+    CARRIERS,
     DETECTORS,
     EXECUTIONS,
     GRASPS,
@@ -31,7 +32,6 @@ from xray_drake.choices import (
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
-from xray_drake.gripper.carrier import CARRIERS
 from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
