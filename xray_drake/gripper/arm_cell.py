@@ -37,7 +37,7 @@ it does, and it can keep out of the overhead camera's view."""
 _LINKS = tuple(f"link_{name}" for name in JOINTS)
 
 _MARGIN = 0.005
-"""Links stay so far from bin, tote, gantry and one another, m."""
+"""Links stay so far from bin, tote, post and one another, m."""
 
 _POSITION_TOLERANCE = 1e-5
 _ANGLE_TOLERANCE = 1e-3
