@@ -22,7 +22,13 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
-from xray_drake.policy.ranking import Ranking, SearchView, largest, random
+from xray_drake.policy.ranking import (
+    Ranking,
+    SearchView,
+    largest,
+    random,
+    xray,
+)
 from xray_drake.policy.system import Foresight, SearchPolicy
 
 NAMES = ("box", "book", "cup")
@@ -238,6 +244,30 @@ def test_a_weak_grasp_where_there_is_no_better_one(
     action = Policy(planner, min_grasp_quality=0.4).advance()
     assert action.grasp.object == chosen
     assert action.score == score
+
+
+@pytest.mark.parametrize(
+    ("quality", "chosen"),
+    [
+        ({"cup": 0.2, "box": 0.9}, "cup"),  # the book has no grasp
+        ({"cup": 0.9, "box": 0.9}, "cup"),
+        ({"book": 0.2, "cup": 0.3, "box": 0.9}, "book"),
+        ({"box": 0.3}, "box"),
+    ],
+)
+def test_what_hides_nothing_is_not_worth_a_good_grasp(
+    quality: dict[str, float], chosen: str
+) -> None:
+    planner = Planner(*quality, quality=quality)
+    policy = Policy(planner, ranking=xray, min_grasp_quality=0.4)
+    under = {"book": 1.0, "cup": 0.5, "box": 0.001}
+    rho = np.choose(LABELS, [under[name] for name in NAMES])
+    policy.fix("occupancy", OccupancyDistribution(rho))
+    action = policy.advance()
+    assert action.ranking == ("book", "cup", "box")
+    assert action.grasp.object == chosen
+    # It is not even planned on, where anything else can be grasped.
+    assert ("box" in planner.names_asked) == (chosen == "box")
 
 
 def test_no_grasp_at_all_is_an_action_too() -> None:

@@ -49,6 +49,9 @@ from xray_drake.policy.ranking import (
 )
 from xray_drake.seeding import stream
 
+_POINTLESS = 1.0
+"""Below this score, in pixels of the distribution, an object hides nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class Decision(Message):
@@ -155,7 +158,8 @@ class SearchPolicy(LeafSystem):
             target_first: grasp the target whenever there is a grasp on it.
             min_visible_pixels: objects with fewer are not candidates.
             min_grasp_quality: a weaker grasp is taken only where no candidate
-                has one as good as this; then the first of the weak ones is.
+                that hides something (a score of a pixel or more) has one as
+                good as this; then the first of the weak ones is.
             foresight: for rankings that imagine removals.
             truth: for rankings that know where the target is.
             seed: of the ranking's random generator.
@@ -394,6 +398,8 @@ class SearchPolicy(LeafSystem):
     ) -> tuple[Grasp, float]:
         weak: tuple[Grasp, float] = (Grasp(), 0.0)
         for name, score in ranked:
+            if weak[0] and score < _POINTLESS <= weak[1]:
+                return weak
             grasp = plan(name)
             if grasp and grasp.quality >= self._min_quality:
                 return grasp, score

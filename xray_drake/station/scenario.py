@@ -142,7 +142,8 @@ class PolicyConfig:
     target_first: bool = True
     # Objects with fewer visible pixels are not candidates.
     min_visible_pixels: int = 50
-    # A weaker grasp counts only where no candidate has one as good as this.
+    # A weaker grasp counts only where no candidate that hides anything has one
+    # as good as this.
     min_grasp_quality: float = 0.2
 
 
