@@ -1,5 +1,6 @@
 """What the README shows runs."""
 
+import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,21 +11,24 @@ README = Path(__file__).parents[1] / "README.md"
 PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
 
 
-@pytest.fixture
-def shown_test() -> Callable:
-    """The README's example of a test."""
+@pytest.mark.parametrize(
+    "name",
+    ["test_the_target_can_be_under_the_book", "test_the_book_goes_first"],
+)
+def test_the_examples_of_tests_pass(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     blocks = PYTHON.findall(README.read_text(encoding="utf-8"))
-    (block,) = [text for text in blocks if "def test_" in text]
+    (block,) = [text for text in blocks if f"def {name}(" in text]
     names: dict = {}
     exec(compile(block, str(README), "exec"), names)
-    (test,) = [value for key, value in names.items() if key.startswith("test_")]
-    return test
+    test: Callable = names[name]
+    test(*map(request.getfixturevalue, inspect.signature(test).parameters))
 
 
-def test_the_example_of_a_test_passes(
-    shown_test: Callable, recorded_observation: object
-) -> None:
-    shown_test(recorded_observation)
+def test_all_examples_of_tests_are_run() -> None:
+    shown = PYTHON.findall(README.read_text(encoding="utf-8"))
+    assert sum(text.count("def test_") for text in shown) == 2
 
 
 def test_every_picture_is_there_and_has_a_command() -> None:

@@ -57,8 +57,10 @@ def complaint(*arguments: object) -> str:
 def test_what_is_inspected(tmp_path: Path) -> None:
     assert kind_of(None) == "heap"
     assert kind_of(tmp_path) == "dataset"
-    assert kind_of(tmp_path / "nowhere") == "dataset"
+    with pytest.raises(ValueError, match=r"nowhere.jsn does not exist"):
+        kind_of(tmp_path / "nowhere.jsn")
     for name in ("a.json", "b.jsonl"):
+        (tmp_path / name).touch()
         assert kind_of(tmp_path / name) == "rollout"
     (tmp_path / "rollouts.jsonl").touch()
     assert kind_of(tmp_path) == "rollout"

@@ -124,6 +124,13 @@ class Wishful(Everywhere):
         self.DeclareVectorInputPort("wind", 1)
 
 
+class Blurred(LeafSystem):
+    def __init__(self, parts: SearchParts) -> None:
+        super().__init__()
+        self.DeclareVectorInputPort("depth_image", 4)
+        self.DeclareVectorOutputPort("occupancy", 1, lambda context, out: None)
+
+
 @pytest.mark.parametrize(
     ("name", "build", "said"),
     [
@@ -138,6 +145,13 @@ class Wishful(Everywhere):
             Wishful,
             r"occupancy_inference has an input 'wind'.*depth_image",
         ),
+        (
+            "occupancy_inference",
+            Blurred,
+            r"'depth_image' of occupancy_inference must be abstract-valued",
+        ),
+        ("search_policy", lambda parts: 1, r"search_policy.*returns 1"),
+        ("search_policy", 1, r"search_policy.*must be a function.*is 1"),
     ],
 )
 def test_what_does_not_fit(

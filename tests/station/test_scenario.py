@@ -439,3 +439,9 @@ def test_a_network_is_the_default_and_needs_images_of_its_sizes() -> None:
     check_scenario(scenario, searched=False)  # heaps can be dropped
     scenario.perception.occupancy = "exact"
     check_scenario(scenario)
+
+
+def test_a_misspelt_field_is_an_error() -> None:
+    scenario = load_scenario("demo")
+    with pytest.raises(AttributeError, match="nmae"):
+        scenario.policy.nmae = "largest"  # type: ignore[attr-defined]

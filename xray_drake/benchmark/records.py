@@ -58,11 +58,11 @@ def shared_scenario(scenario: Scenario) -> str:
             seed=0,
             policy=replace(
                 scenario.policy,
-                name=PolicyConfig.name,
-                target_first=PolicyConfig.target_first,
+                name=PolicyConfig().name,
+                target_first=PolicyConfig().target_first,
             ),
             perception=replace(
-                scenario.perception, occupancy=PerceptionConfig.occupancy
+                scenario.perception, occupancy=PerceptionConfig().occupancy
             ),
         )
     )

@@ -160,7 +160,6 @@ def inspect(
 
     xray-drake inspect out/paper --out samples.png
     """
-    kind = kind_of(what)
     given = {
         "scenario": scenario,
         "num-objects": num_objects,
@@ -179,6 +178,7 @@ def inspect(
         "out": out,
     }
     with errors_as_lines():
+        kind = kind_of(what)
         check_options(
             kind, [name for name, value in given.items() if value is not None]
         )
@@ -252,9 +252,15 @@ _USES = {
 
 
 def kind_of(what: Path | None) -> str:
-    """Returns "heap", "rollout" or "dataset", by what a path looks like."""
+    """Returns "heap", "rollout" or "dataset", by what a path looks like.
+
+    Raises:
+        ValueError: there is nothing.
+    """
     if what is None:
         return "heap"
+    if not what.exists():
+        raise ValueError(f"{what} does not exist")
     if what.suffix in (".json", ".jsonl") or (what / "rollouts.jsonl").exists():
         return "rollout"
     return "dataset"

@@ -216,7 +216,7 @@ class GraspJudge:
         if held == 0.0:
             return JudgedGrasp(
                 0.0,
-                f"holds {holding:.2f} N of {weight:.2f} N",
+                f"holds {holding:.2f} N, weighs {weight:.2f} N",
                 X_WG,
                 width,
                 holding,
@@ -364,7 +364,7 @@ class GraspJudge:
         if held == 0.0:
             return JudgedGrasp(
                 0.0,
-                f"holds {holding:.2f} N of {weight:.2f} N",
+                f"holds {holding:.2f} N, weighs {weight:.2f} N",
                 X_WG,
                 holding=holding,
             )

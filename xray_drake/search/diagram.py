@@ -301,7 +301,13 @@ def _check_replaced(replace: Mapping[str, Replacement], *, agent: bool) -> None:
 
 
 def _replacement(name: str, build: Replacement, inside: SearchParts) -> System:
-    system = build(inside)
+    system = build(inside) if callable(build) else build
+    if not callable(build) or not isinstance(system, System):
+        raise ValueError(
+            f"replace[{name!r}] must be a function that takes SearchParts and "
+            f"returns a new System, as in lambda parts: MySystem(); it "
+            f"{'returns' if callable(build) else 'is'} {system!r}"
+        )
     system.set_name(name)
     check_output(system, REPLACEABLE[name])
     return system

@@ -2,7 +2,17 @@
 
 from collections.abc import Collection, Mapping
 
-from pydrake.systems.framework import DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import (
+    DiagramBuilder,
+    OutputPort,
+    PortDataType,
+    System,
+)
+
+_KINDS = {
+    PortDataType.kAbstractValued: "abstract-valued",
+    PortDataType.kVectorValued: "vector-valued",
+}
 
 
 def connect_inputs(
@@ -21,7 +31,7 @@ def connect_inputs(
         open_ports: inputs that stay open.
 
     Raises:
-        ValueError: an input that no output is for.
+        ValueError: an input that no output is for, or one of another kind.
     """
     for index in range(system.num_input_ports()):
         port = system.get_input_port(index)
@@ -33,7 +43,14 @@ def connect_inputs(
                 f"{system.get_name()} has an input {name!r}, and nothing here "
                 f"gives that; there are {', '.join(sorted(sources))}"
             )
-        builder.Connect(sources[name], port)
+        source = sources[name]
+        if port.get_data_type() != source.get_data_type():
+            raise ValueError(
+                f"the input {name!r} of {system.get_name()} must be "
+                f"{_KINDS[source.get_data_type()]}, as the output of that name "
+                "is"
+            )
+        builder.Connect(source, port)
 
 
 def check_output(system: System, name: str) -> None:

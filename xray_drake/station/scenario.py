@@ -62,7 +62,7 @@ class ScenarioError(ValueError):
     """A scenario that cannot be used; the message is one line."""
 
 
-@dataclass
+@dataclass(slots=True)
 class RandomNumber:
     """How many distractors: Poisson, truncated (paper section IV.A)."""
 
@@ -73,7 +73,7 @@ class RandomNumber:
     most: int = 15
 
 
-@dataclass
+@dataclass(slots=True)
 class SceneConfig:
     """What lies in the bin."""
 
@@ -103,7 +103,7 @@ class SceneConfig:
     contact: ContactConfig = field(default_factory=ContactConfig)
 
 
-@dataclass
+@dataclass(slots=True)
 class PerceptionConfig:
     """Which perception systems look at the images."""
 
@@ -132,7 +132,7 @@ class PerceptionConfig:
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
 
 
-@dataclass
+@dataclass(slots=True)
 class PolicyConfig:
     """Which object is grasped next."""
 
@@ -147,7 +147,7 @@ class PolicyConfig:
     min_grasp_quality: float = 0.2
 
 
-@dataclass
+@dataclass(slots=True)
 class GripperConfig:
     """How grasps are planned and executed."""
 
@@ -204,7 +204,7 @@ def nominal_camera() -> CameraConfig:
     )
 
 
-@dataclass
+@dataclass(slots=True)
 class Scenario:
     """All that a search depends on; the same scenario gives the same search."""
 

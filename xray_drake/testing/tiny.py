@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.messages import InstanceMasks
+from xray_drake.perception.ground_truth import instances_from_labels
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.shapes import box
@@ -24,8 +26,9 @@ class Observation:
 
     Attributes:
         depth: (H, W) float32, m.
-        labels: (H, W) int16.
-        label_of: object name to its value in ``labels``.
+        labels: (H, W) int16, the number of the body that a pixel shows.
+        label_of: object name to its value in ``labels``; of objects that no
+            pixel shows, too.
         camera: of both images.
         heap: what is seen.
     """
@@ -35,6 +38,11 @@ class Observation:
     label_of: dict[str, int]
     camera: PinholeCamera
     heap: Heap
+
+    @property
+    def instances(self) -> InstanceMasks:
+        """The modal masks of the objects that are seen, the target's too."""
+        return instances_from_labels(self.labels, self.label_of)
 
 
 def _block(
