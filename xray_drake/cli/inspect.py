@@ -260,7 +260,7 @@ def kind_of(what: Path | None) -> str:
     if what is None:
         return "heap"
     if not what.exists():
-        raise ValueError(f"{what} does not exist")
+        raise ValueError(f"there is no file or folder {what}")
     if what.suffix in (".json", ".jsonl") or (what / "rollouts.jsonl").exists():
         return "rollout"
     return "dataset"
