@@ -2,6 +2,7 @@ import csv
 import io
 import itertools
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from xray_drake.benchmark.report import (
     comma_separated,
     make_report,
     markdown,
-    table_2,
+    success_table,
     write_report,
 )
 
@@ -59,7 +60,7 @@ SMALL = [
 
 
 def test_table_2_by_hand() -> None:
-    (rows,) = tables("\n".join(table_2(of(SMALL))))
+    (rows,) = tables("\n".join(success_table(of(SMALL))))
     assert rows[2:] == [
         [
             *("largest", "0.0 %", "0.0 % to 49.0 %", "4", "–"),
@@ -70,6 +71,16 @@ def test_table_2_by_hand() -> None:
             *("2.5, 3, 5", "82 %", "3, 5, 6"),
         ],
     ]
+
+
+def test_table_3_stands_beside_the_scenario_that_is_modelled_on_it() -> None:
+    report = replace(of(SMALL), scenario="table3")
+    text = "\n".join(success_table(report))
+    (rows,) = tables(text)
+    assert rows[2][-2:] == ["85 %", "4, 6, 7"]
+    assert rows[3][-2:] == ["100 %", "4, 5, 5.25"]
+    assert "Table III" in text
+    assert "Table III" in markdown(report)
 
 
 def test_every_table_is_a_rectangle() -> None:

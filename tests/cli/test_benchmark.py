@@ -8,7 +8,7 @@ import pytest
 from tests.benchmark.synthetic import record, write_folder
 from tests.cli.running import answer
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
-from xray_drake.benchmark.report import make_report, table_2
+from xray_drake.benchmark.report import make_report, success_table
 from xray_drake.benchmark.variants import Variant
 from xray_drake.cli import benchmark as module
 from xray_drake.station.scenario import Scenario
@@ -62,7 +62,7 @@ def test_the_table_is_of_what_was_asked_for(done: Path) -> None:
         record("xray", 30, 4),
         record("xray", 31, 3),
     ]
-    expected = table_2(make_report(Collection(records)))
+    expected = success_table(make_report(Collection(records)))
     assert "\n".join(expected) in out
     assert f"xray-drake report {done}" in out
 

@@ -57,7 +57,7 @@ def complaint(*arguments: object) -> str:
 def test_what_is_inspected(tmp_path: Path) -> None:
     assert kind_of(None) == "heap"
     assert kind_of(tmp_path) == "dataset"
-    with pytest.raises(ValueError, match="no file or folder .*nowhere.jsn"):
+    with pytest.raises(ValueError, match=r"no file or folder .*nowhere\.jsn"):
         kind_of(tmp_path / "nowhere.jsn")
     for name in ("a.json", "b.jsonl"):
         (tmp_path / name).touch()

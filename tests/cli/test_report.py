@@ -6,7 +6,7 @@ import pytest
 from tests.benchmark.synthetic import record, write_folder
 from tests.cli.running import answer
 from xray_drake.benchmark.records import collect
-from xray_drake.benchmark.report import make_report, markdown, table_2
+from xray_drake.benchmark.report import make_report, markdown, success_table
 
 report = partial(answer, "report")
 
@@ -29,7 +29,7 @@ def test_it_is_written_beside_the_rollouts(one: Path) -> None:
     code, out, err = report(one)
     assert (code, err) == (0, "")
     made = make_report(collect([one]))
-    assert "\n".join(table_2(made)) in out
+    assert "\n".join(success_table(made)) in out
     assert (one / "report.md").read_text(encoding="utf-8") == markdown(made)
     for name in ("report.md", "report.csv", "actions.png", "success.png"):
         assert (one / name).stat().st_size > 0

@@ -1,4 +1,4 @@
-"""The report of a benchmark: the paper's Table II and Figure 6, and more."""
+"""The report of a benchmark: the paper's tables, its Figure 6, and more."""
 
 import csv
 import io
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xray_drake.benchmark.paper import TABLE_II
+from xray_drake.benchmark.paper import paper_table
 from xray_drake.benchmark.records import (
     Collection,
     HeapKey,
@@ -148,9 +148,9 @@ def markdown(report: Report) -> str:
             "",
             *_heaps(report),
             "",
-            "## Success (the paper's Table II)",
+            f"## Success (the paper's {paper_table(report.scenario).name})",
             "",
-            *table_2(report),
+            *success_table(report),
             "",
             f"![Number of actions]({ACTIONS})",
             "",
@@ -184,18 +184,19 @@ def markdown(report: Report) -> str:
     )
 
 
-def table_2(report: Report) -> list[str]:
-    """Returns the paper's Table II as lines of Markdown, its figures beside."""
+def success_table(report: Report) -> list[str]:
+    """Returns the paper's Table II or III as Markdown, its figures beside."""
+    theirs = paper_table(report.scenario)
     rows = []
     for variant, records in report.by_variant.items():
-        paper = TABLE_II.get(variant.policy)
+        paper = theirs.rows.get(variant.policy)
         rows.append(
             [
                 variant.label,
                 *_rate_cells(success_rate(records)),
                 _quartiles(records),
                 f"{100 * paper.rate:.0f} %" if paper else "",
-                ", ".join(map(str, paper.quartiles)) if paper else "",
+                ", ".join(f"{q:g}" for q in paper.quartiles) if paper else "",
             ]
         )
     return [
@@ -213,8 +214,8 @@ def table_2(report: Report) -> list[str]:
         ),
         "",
         "Quartiles are of the number of actions over successes. Intervals are "
-        "Wilson's. The paper's figures are of 1,000 heaps of its own objects "
-        "and physics, its X-Ray of its own network.",
+        f"Wilson's. The paper's figures ({theirs.name}) are of "
+        f"{theirs.heaps:,} {theirs.what}, its X-Ray of its own network.",
     ]
 
 
@@ -461,7 +462,8 @@ def _quantities(report: Report) -> Iterator[dict[str, Any]]:
                         "quantity": quantity,
                         **_columns(estimate),
                     }
-    for policy, row in TABLE_II.items():
+    theirs = paper_table(report.scenario)
+    for policy, row in theirs.rows.items():
         for quantity, value in (
             ("success_rate", row.rate),
             *zip(_QUARTILES, row.quartiles, strict=True),
@@ -471,7 +473,7 @@ def _quantities(report: Report) -> Iterator[dict[str, Any]]:
                 "variant": policy,
                 "quantity": quantity,
                 "value": value,
-                "heaps": 1000,
+                "heaps": theirs.heaps,
             }
     yield {
         "part": "all",

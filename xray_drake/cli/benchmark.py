@@ -23,7 +23,7 @@ from xray_drake.benchmark.records import (
     read_rollouts,
     shared_scenario,
 )
-from xray_drake.benchmark.report import make_report, table_2
+from xray_drake.benchmark.report import make_report, success_table
 from xray_drake.benchmark.rollouts import run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
 from xray_drake.cli.configure import configure
@@ -103,7 +103,7 @@ def run(options: BenchmarkOptions, console: Console) -> None:
             bars.advance(task)
     records = [r for r in read_rollouts(options.out) if _key(r) in wanted]
     try:
-        lines = table_2(make_report(Collection(records, scenario.name)))
+        lines = success_table(make_report(Collection(records, scenario.name)))
     except ValueError as error:  # done, though all targets were in view
         lines = [str(error)]
     for line in (

@@ -24,7 +24,7 @@ def report(
         from xray_drake.benchmark.records import collect
         from xray_drake.benchmark.report import (
             make_report,
-            table_2,
+            success_table,
             write_report,
         )
 
@@ -38,5 +38,5 @@ def report(
                 f"{collection.repeated} (the first of each counts)",
                 err=True,
             )
-        for line in (*table_2(made), "", *(f"wrote {p}" for p in paths)):
+        for line in (*success_table(made), "", *(f"wrote {p}" for p in paths)):
             console.print(line, soft_wrap=True, highlight=False)
