@@ -115,10 +115,11 @@ def test_info(folder: Path) -> None:
     "command", [["dataset", "check"], ["dataset", "info"], ["inspect"]]
 )
 def test_no_dataset_is_one_line(tmp_path: Path, command: list[str]) -> None:
-    result = _run(*command, tmp_path / "nowhere")
+    (tmp_path / "nothing").mkdir()
+    result = _run(*command, tmp_path / "nothing")
     assert result.exit_code == 2
     (line,) = result.stderr.splitlines()
-    assert "nowhere is no dataset" in line
+    assert "nothing is no dataset" in line
     assert "xray-drake generate" in line
 
 

@@ -145,6 +145,18 @@ def test_any_flipped_bit_is_found(shard: Path, where: float, bit: int) -> None:
         read_shard(broken)
 
 
+@pytest.mark.parametrize("bit", range(8))
+def test_any_flipped_bit_of_the_header_is_found(shard: Path, bit: int) -> None:
+    data = shard.read_bytes()
+    broken = shard.with_name("broken.h5")
+    for where in range(512):
+        flipped = bytearray(data)
+        flipped[where] ^= 1 << bit
+        broken.write_bytes(flipped)
+        with pytest.raises(ShardError, match=r"broken\.h5 is damaged"):
+            verify_shard(broken)
+
+
 @settings(max_examples=60, deadline=None)
 @given(where=st.floats(0, 1, exclude_max=True))
 def test_any_truncation_is_found_at_once(shard: Path, where: float) -> None:

@@ -260,7 +260,11 @@ def kind_of(what: Path | None) -> str:
     if what is None:
         return "heap"
     if not what.exists():
-        raise ValueError(f"there is no file or folder {what}")
+        raise ValueError(
+            f"there is no file or folder {what}: make a record with "
+            "'xray-drake search --json', or a dataset with 'xray-drake "
+            "generate'"
+        )
     if what.suffix in (".json", ".jsonl") or (what / "rollouts.jsonl").exists():
         return "rollout"
     return "dataset"

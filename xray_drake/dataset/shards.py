@@ -109,12 +109,13 @@ def verify_shard(path: Path) -> None:
         ShardError: it is truncated or has a flipped bit.
         OSError: it cannot be read at all.
     """
-    digest = hashlib.sha256()
+    digest, length = hashlib.sha256(), 0
     with path.open("rb") as file:
-        _, expected = _read_header(file.read(_HEADER_SIZE), path)
+        expected = _read_header(file.read(_HEADER_SIZE), path)
         while block := file.read(1 << 20):
             digest.update(block)
-    if digest.hexdigest() != expected:
+            length += len(block)
+    if (length, digest.hexdigest()) != expected:
         raise ShardError(f"{path} is damaged: its checksum does not match")
 
 
