@@ -67,7 +67,7 @@ def run_job(job: Job) -> Iterator[Record]:
         start = time.process_time()
         try:
             diagram = build_search_diagram(
-                _configured(scenario, variant), heap=heap
+                variant.applied_to(scenario), heap=heap
             )
             record = run_search(diagram).to_dict()
         except RuntimeError as error:
@@ -170,21 +170,6 @@ def _send_records(job: Job, send: Callable[[Record], None]) -> None:
 def _remaining(job: Job, record: Record) -> Job | None:
     left = tuple(v for v in job.variants if v != Variant.of(record))
     return replace(job, variants=left) if left else None
-
-
-def _configured(scenario: Scenario, variant: Variant) -> Scenario:
-    perception = scenario.perception
-    if variant.occupancy:
-        perception = replace(perception, occupancy=variant.occupancy)
-    return replace(
-        scenario,
-        policy=replace(
-            scenario.policy,
-            name=variant.policy,
-            target_first=variant.target_first,
-        ),
-        perception=perception,
-    )
 
 
 def _failure(

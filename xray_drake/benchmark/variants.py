@@ -1,8 +1,10 @@
 """What a benchmark compares: policies, each with an inference."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from xray_drake.station.scenario import Scenario
 
 BLIND = ("random", "largest", "oracle")
 """Policies that do not look at the distribution: whatever infers it, they do
@@ -40,6 +42,21 @@ class Variant:
             record["policy"],
             record.get("occupancy", ""),
             record.get("target_first", True),
+        )
+
+    def applied_to(self, scenario: Scenario) -> Scenario:
+        """Returns a scenario with this policy, and this inference if any."""
+        perception = scenario.perception
+        if self.occupancy:
+            perception = replace(perception, occupancy=self.occupancy)
+        return replace(
+            scenario,
+            policy=replace(
+                scenario.policy,
+                name=self.policy,
+                target_first=self.target_first,
+            ),
+            perception=perception,
         )
 
     @property

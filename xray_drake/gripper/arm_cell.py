@@ -10,7 +10,6 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import (
     Frame,
@@ -20,8 +19,7 @@ from pydrake.multibody.tree import (
 from pydrake.solvers import Solve
 from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.resources import PACKAGE_NAME
-from xray_drake.scene.parsing import configure_parser
+from xray_drake.gripper.models import add_hand, add_model, joint_limits
 from xray_drake.scene.plant import add_bin
 
 JOINTS = ("1", "2", "7", "3", "4", "5", "6")
@@ -49,11 +47,7 @@ _NEARNESS = 0.1
 
 def add_arm_model(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
     """Adds the arm to a plant, hung up; returns it and its tool frame."""
-    parser = Parser(plant)
-    configure_parser(parser)
-    (arm,) = parser.AddModelsFromUrl(
-        f"package://{PACKAGE_NAME}/gripper/yumi_arm.sdf"
-    )
+    arm = add_model(plant, "yumi_arm.sdf")
     plant.WeldFrames(
         plant.world_frame(),
         plant.GetFrameByName("arm_base", arm),
@@ -81,30 +75,13 @@ class ArmCell:
         self._plant: MultibodyPlant = plant
         arm, self._tool = add_arm_model(plant)
         add_bin(plant, with_tote=True)
-        parser = Parser(plant)
-        configure_parser(parser)
-        (hand,) = parser.AddModelsFromUrl(
-            f"package://{PACKAGE_NAME}/gripper/yumi_gripper.sdf"
-        )
-        plant.WeldFrames(self._tool, plant.GetFrameByName("gripper_base", hand))
+        add_hand(plant, self._tool)
         plant.Finalize()
-        joints = [plant.GetJointByName(f"arm_{name}", arm) for name in JOINTS]
-        self.lower = np.concatenate([j.position_lower_limits() for j in joints])
-        self.upper = np.concatenate([j.position_upper_limits() for j in joints])
-        self.velocity = np.concatenate(
-            [j.velocity_upper_limits() for j in joints]
-        )
-        self.acceleration = np.concatenate(
-            [j.acceleration_upper_limits() for j in joints]
-        )
-        gains = [
-            plant.GetJointActuatorByName(
-                joint.name(), arm
-            ).get_controller_gains()
-            for joint in joints
-        ]
-        self.stiffness = np.array([gain.p for gain in gains])
-        self.damping = np.array([gain.d for gain in gains])
+        limits = joint_limits(plant, [f"arm_{name}" for name in JOINTS], arm)
+        self.lower, self.upper = limits.lower, limits.upper
+        self.velocity = limits.velocity
+        self.acceleration = limits.acceleration
+        self.stiffness, self.damping = limits.stiffness, limits.damping
         self._filter(scene_graph)
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()

@@ -2,12 +2,28 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from pydrake.math import RotationMatrix
 from scipy.spatial.transform import Rotation
 
 from xray_drake.messages import Message
+
+_T = TypeVar("_T", float, np.ndarray)
+
+
+def quintic(s: _T) -> tuple[_T, _T, _T]:
+    """Returns 10 s³ − 15 s⁴ + 6 s⁵ and its first two derivatives.
+
+    It goes from 0 to 1 as s does, and begins and ends at rest; rounding can
+    bring it a little beyond.
+    """
+    return (
+        s**3 * (10 - 15 * s + 6 * s**2),
+        30 * s**2 * (1 - s) ** 2,
+        60 * s * (1 - s) * (1 - 2 * s),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +61,9 @@ class Segment(Message):
             segment by force keeps its orientation.
         """
         s = min(max((time - self.begin) / self.duration, 0.0), 1.0)
-        way = min(s**3 * (10 - 15 * s + 6 * s**2), 1.0)
-        speed = 30 * s**2 * (1 - s) ** 2 / self.duration
-        bend = 60 * s * (1 - s) * (1 - 2 * s) / self.duration**2
+        way, speed, bend = quintic(s)
+        way = min(way, 1.0)
+        speed, bend = speed / self.duration, bend / self.duration**2
         step = self.end[:3, 3] - self.start[:3, 3]
         pose = np.array(self.start)
         pose[:3, 3] += way * step

@@ -12,6 +12,7 @@ from pydrake.trajectories import (
     PiecewisePolynomial,
 )
 
+from xray_drake.gripper.motion import quintic
 from xray_drake.messages import Message
 
 _PEAK_SPEED = 1.875
@@ -165,9 +166,8 @@ def timed_curve(
         for values in (knots, points)
     )
     s = np.linspace(0, 1, 8 * len(knots) + 1)
-    at = np.clip(s**3 * (10 - 15 * s + 6 * s**2), 0, 1)
-    rate = 30 * s**2 * (1 - s) ** 2
-    bend = 60 * s * (1 - s) * (1 - 2 * s)
+    at, rate, bend = quintic(s)
+    at = np.clip(at, 0, 1)
 
     def motion(curve: PiecewisePolynomial) -> tuple[np.ndarray, np.ndarray]:
         """Returns velocity and acceleration if it took 1 s, (samples, …)."""

@@ -3,18 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 
 from xray_drake.choices import CARRIERS
 from xray_drake.gripper import arm_cell
 from xray_drake.gripper.arm import Arm
 from xray_drake.gripper.arm_cell import ArmCell, add_arm_model
 from xray_drake.gripper.carrier import Carrier
+from xray_drake.gripper.models import add_hand, add_model, joint_limits
 from xray_drake.gripper.wrist import JOINTS, Wrist
-from xray_drake.resources import PACKAGE_NAME
-from xray_drake.scene.parsing import configure_parser
 
 HOME = np.array(
     [[1.0, 0, 0, 0.0], [0, -1.0, 0, 0.32], [0, 0, -1.0, 0.34], [0, 0, 0, 1]]
@@ -88,20 +86,16 @@ def add_gripper(
     Raises:
         ReachError: the wrist cannot be at home.
     """
-    parser = Parser(plant)
-    configure_parser(parser)
-    folder = f"package://{PACKAGE_NAME}/gripper"
     if carrier == "arm":
         arm, tool = add_arm_model(plant)
     else:
-        (arm,) = parser.AddModelsFromUrl(f"{folder}/wrist.sdf")
+        arm = add_model(plant, "wrist.sdf")
         tool = plant.GetFrameByName("tool", arm)
         plant.WeldFrames(
             plant.world_frame(), plant.GetFrameByName("wrist_base", arm)
         )
-    (hand,) = parser.AddModelsFromUrl(f"{folder}/yumi_gripper.sdf")
+    hand = add_hand(plant, tool)
     base = plant.GetBodyByName("gripper_base", hand)
-    plant.WeldFrames(tool, base.body_frame())
     for instance in (arm, hand):
         plant.set_gravity_enabled(instance, False)
     left, right = (plant.GetJointByName(name, hand) for name in FINGER_JOINTS)
@@ -120,7 +114,15 @@ def add_gripper(
         q_home = kinematics.home
     else:
         names = [f"wrist_{name}" for name in JOINTS]
-        kinematics = _wrist(plant, arm, tool)
+        limits = joint_limits(plant, names, arm)
+        kinematics = Wrist(
+            R_FT=tool.GetFixedPoseInBodyFrame().rotation().matrix(),
+            lower=limits.lower,
+            upper=limits.upper,
+            velocity=limits.velocity,
+            acceleration=limits.acceleration,
+            stiffness=limits.stiffness,
+        )
         q_home = kinematics.joints(
             home @ np.linalg.inv(X_BJ), near=np.zeros(len(names))
         )
@@ -139,25 +141,4 @@ def add_gripper(
         finger_speed=float(left.velocity_upper_limits()[0]),
         finger_force=finger.effort_limit(),
         finger_stiffness=finger.get_controller_gains().p,
-    )
-
-
-def _wrist(
-    plant: MultibodyPlant, instance: ModelInstanceIndex, tool: Frame
-) -> Wrist:
-    joints = [
-        plant.GetJointByName(f"wrist_{name}", instance) for name in JOINTS
-    ]
-    actuators = [
-        plant.GetJointActuatorByName(joint.name(), instance) for joint in joints
-    ]
-    return Wrist(
-        R_FT=tool.GetFixedPoseInBodyFrame().rotation().matrix(),
-        lower=np.concatenate([j.position_lower_limits() for j in joints]),
-        upper=np.concatenate([j.position_upper_limits() for j in joints]),
-        velocity=np.concatenate([j.velocity_upper_limits() for j in joints]),
-        acceleration=np.concatenate(
-            [j.acceleration_upper_limits() for j in joints]
-        ),
-        stiffness=np.array([a.get_controller_gains().p for a in actuators]),
     )

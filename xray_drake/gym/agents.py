@@ -30,7 +30,9 @@ def xray_agent(
 ) -> int:
     """X-Ray: the valid mask with most of the distribution (paper section V).
 
-    On the same heap it does what the policy ``xray`` does.
+    On the same heap it does what the policy ``xray`` does, while a valid mask
+    hides some of the target: where none does, the policy takes a weak grasp on
+    what hides it, which is not among the valid ones.
 
     Args:
         observation: with ``occupancy``: make the environment with

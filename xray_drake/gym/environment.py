@@ -67,12 +67,12 @@ class MechanicalSearchEnv(DrakeGymEnv):
     - ``occupancy``, if asked for: (H, W) float32 in [0, 1].
 
     **Action**: the number of the mask to be grasped. The grasp on it is planned
-    and executed as for every policy. A mask is *valid* if some ranking would
-    have it grasped: at least ``policy.min_visible_pixels`` are seen, and the
-    planner has a grasp of ``policy.min_grasp_quality`` on it, or where no mask
-    has that, any grasp. An invalid action spends one of the horizon's actions
-    and nothing moves. Whether to grasp the target first is the agent's choice.
-    ``action_masks()`` is what sb3-contrib's MaskablePPO asks for.
+    and executed as for every policy. A mask is *valid* if at least
+    ``policy.min_visible_pixels`` are seen, and the planner has a grasp of
+    ``policy.min_grasp_quality`` on it, or where no mask has that, any grasp. An
+    invalid action spends one of the horizon's actions and nothing moves.
+    Whether to grasp the target first is the agent's choice. ``action_masks()``
+    is what sb3-contrib's MaskablePPO asks for.
 
     **Reward**: "sparse", "surrogate" or "visibility", see
     :mod:`xray_drake.gym.rewards`, or a function.

@@ -38,17 +38,30 @@ class FilmStrip:
         self, diagram: SearchDiagram, context: Context, action: SearchAction
     ) -> None:
         """Keeps what is seen, inferred and decided."""
-        grasp = action.grasp
+        name, grasp = diagram.scenario.camera.name, action.grasp
+
+        def look(port: str) -> Any:
+            return diagram.GetOutputPort(port).Eval(context)
+
         what = "nothing graspable"
         if grasp:
             what = "the target" if action.is_target else grasp.object
             what += f" by {grasp.kind.value}"
-        self._add(
-            diagram,
-            context,
-            chosen=grasp.object,
-            title=f"{action.number}: {what}",
-            note=f"support {action.support} px",
+        rho = look("occupancy_inference.occupancy")
+        instances = look("instance_segmenter.instances")
+        seen = instances.labels >= 0
+        self._objects = seen | self._objects if self.frames else seen
+        chosen = np.zeros(rho.data.shape, bool)
+        if grasp.object in instances.names:
+            chosen = instances.mask(grasp.object)
+        self.frames.append(
+            Frame(
+                color=np.array(look(f"{name}.color_image").data[:, :, :3]),
+                occupancy=rho.data * rho.support(),
+                chosen=chosen,
+                title=f"{action.number}: {what}",
+                note=f"support {action.support} px",
+            )
         )
 
     def ended(
@@ -86,39 +99,9 @@ class FilmStrip:
             OSError: it cannot be written.
         """
         image = io.BytesIO()
-        kind = path.suffix.lower().removeprefix(".").lower()
+        kind = path.suffix.lower().removeprefix(".")
         self.figure().savefig(image, format=kind)
         write_whole_file(path, image.getvalue())
-
-    def _add(
-        self,
-        diagram: SearchDiagram,
-        context: Context,
-        *,
-        chosen: str,
-        title: str,
-        note: str,
-    ) -> None:
-        def look(port: str) -> Any:
-            return diagram.GetOutputPort(port).Eval(context)
-
-        color = look(f"{diagram.scenario.camera.name}.color_image").data
-        rho = look("occupancy_inference.occupancy")
-        instances = look("instance_segmenter.instances")
-        seen = instances.labels >= 0
-        self._objects = seen | self._objects if self.frames else seen
-        mask = np.zeros(rho.data.shape, bool)
-        if chosen in instances.names:
-            mask = instances.mask(chosen)
-        self.frames.append(
-            Frame(
-                color=np.array(color[:, :, :3]),
-                occupancy=rho.data * rho.support(),
-                chosen=mask,
-                title=title,
-                note=note,
-            )
-        )
 
 
 def _extent(mask: np.ndarray) -> slice:

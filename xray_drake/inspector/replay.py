@@ -9,6 +9,7 @@ from typing import Any
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
+from xray_drake.benchmark.variants import Variant
 from xray_drake.inspector.snapshot import Snapshot, SnapshotRecorder
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import AGENT, build_search_diagram
@@ -236,18 +237,15 @@ def _scenario_of(record: Record, path: Path) -> Scenario:
     scenario = parse_scenario(
         shared.read_text(encoding="utf-8"), str(shared), searched=False
     )
+    variant = Variant(
+        record["policy"],
+        record["occupancy"],
+        record.get("target_first", True),
+    )
     return replace(
-        scenario,
+        variant.applied_to(scenario),
         seed=record["seed"],
         scene=replace(scenario.scene, target=record["target"]),
-        policy=replace(
-            scenario.policy,
-            name=record["policy"],
-            target_first=record.get("target_first", True),
-        ),
-        perception=replace(scenario.perception, occupancy=record["occupancy"])
-        if record["occupancy"]
-        else scenario.perception,
     )
 
 

@@ -22,7 +22,7 @@ from xray_drake.policy.system import Decision, SearchPolicy
 def valid_options(
     names: Sequence[str], qualities: Sequence[float], *, min_quality: float
 ) -> tuple[str, ...]:
-    """Returns the candidates that some ranking would have grasped.
+    """Returns the candidates that an agent may grasp.
 
     Those with a grasp that is good enough; where there are none, those with
     any grasp.
