@@ -40,6 +40,8 @@ class Job:
 def run_job(job: Job) -> Iterator[Record]:
     """Drops a heap once and runs each variant on it, in a worker process.
 
+    Variants that begin with the same grasps share the simulation of those.
+
     Yields:
         The record of each variant as it ends. A heap that cannot be dropped,
         or a rollout that fails, gives records with ``end`` set to "error" and
@@ -51,6 +53,7 @@ def run_job(job: Job) -> Iterator[Record]:
     # Imported in the worker, after its threads are limited.
     from xray_drake.search.diagram import build_search_diagram
     from xray_drake.search.rollout import run_search
+    from xray_drake.search.transitions import Transitions
     from xray_drake.station.objects import make_heap
 
     scenario = parse_scenario(job.scenario, "benchmark")
@@ -63,13 +66,15 @@ def run_job(job: Job) -> Iterator[Record]:
             yield _failure(scenario, variant, error)
         return
     dropped = time.process_time() - start
+    by_contact = scenario.gripper.execution == "contact"
+    transitions = None if by_contact else Transitions()
     for variant in job.variants:
         start = time.process_time()
         try:
             diagram = build_search_diagram(
                 variant.applied_to(scenario), heap=heap
             )
-            record = run_search(diagram).to_dict()
+            record = run_search(diagram, transitions=transitions).to_dict()
         except RuntimeError as error:
             record = _failure(scenario, variant, error)
         if record["end"] == "interrupted":

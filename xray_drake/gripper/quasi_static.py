@@ -262,6 +262,28 @@ class QuasiStaticGripper(LeafSystem):
             period_sec=period, offset_sec=0.0, update=self._update
         )
 
+    def state(self, context: Context) -> Message:
+        """Returns what it is doing, for :meth:`set_state`.
+
+        Args:
+            context: its own.
+        """
+        return self._motion(context)
+
+    def set_state(
+        self, context: Context, state: Message, *, action: SearchAction
+    ) -> None:
+        """Lets it do what another gripper of the same heap did.
+
+        Args:
+            context: its own; changed.
+            state: of the other, from :meth:`state`.
+            action: that it does, with the same grasp as the other.
+        """
+        context.get_mutable_abstract_state(self._state).set_value(
+            replace(state, action=action)
+        )
+
     def _motion(self, context: Context) -> _Motion:
         return context.get_abstract_state(self._state).get_value()
 

@@ -1,6 +1,7 @@
 """Runs one search from start to end."""
 
 from collections.abc import Callable
+from functools import partial
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
@@ -8,6 +9,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import Observer, attach_monitor
 from xray_drake.search.record import SearchRecord
+from xray_drake.search.transitions import Transitions
 from xray_drake.station.scenario import Scenario
 
 _SLICE = 0.5
@@ -24,6 +26,7 @@ def run_search(
     meshcat: Meshcat | None = None,
     observers: tuple[Observer, ...] = (),
     progress: Callable[[float], None] | None = None,
+    transitions: Transitions | None = None,
 ) -> SearchRecord:
     """Runs a search until success, the horizon, or another end.
 
@@ -36,8 +39,11 @@ def run_search(
         observers: told of decisions and of ends of actions.
         progress: told the share of the heap's drop that is done, where a
             scenario is given.
+        transitions: of earlier searches on the same heap. Grasps that began one
+            of them in the same order are not simulated again; grows.
 
     Raises:
+        ValueError: transitions of execution by contact.
         ScenarioError: a scenario that cannot be used.
         HeapError: heap after heap failed.
         RuntimeError: the simulation failed.
@@ -48,7 +54,14 @@ def run_search(
         )
     simulator = Simulator(search)
     ApplySimulatorConfig(search.scenario.simulator_config, simulator)
-    monitor = attach_monitor(simulator, search, observers=observers)
+    recall = None if transitions is None else transitions.watch(search)
+    monitor = attach_monitor(
+        simulator,
+        search,
+        observers=observers if recall is None else (*observers, recall),
+    )
+    if recall is not None:
+        simulator.set_monitor(partial(recall.stops, monitor))
     record = monitor.record
     limit = LONGEST_ACTION * search.scenario.horizon
     try:
@@ -61,6 +74,8 @@ def run_search(
                     f"{record.seed}): a system of the diagram hangs"
                 )
             simulator.AdvanceTo(time + _SLICE)
+            if recall is not None:
+                recall.skip(simulator)
     except KeyboardInterrupt:
         record.end = record.end or "interrupted"
     return record
