@@ -166,7 +166,7 @@ def searched(
     seen: list[tuple[object, Scenario]] = []
 
     class Found:
-        def __init__(self, scenario: Scenario) -> None:
+        def __init__(self, scenario: Scenario, **_: Any) -> None:
             self.scenario = scenario
 
         def to_dict(self) -> dict[str, Any]:
@@ -222,10 +222,10 @@ def test_a_search_that_fails_does_not_end_the_others(
 ) -> None:
     found = rollout.run_search
 
-    def fail(scenario: Scenario) -> Any:
+    def fail(scenario: Scenario, **options: Any) -> Any:
         if scenario.policy.name == "largest":
             raise RuntimeError("it\nhangs")
-        return found(scenario)
+        return found(scenario, **options)
 
     monkeypatch.setattr(rollout, "run_search", fail)
     first, second = run_job(Job(dump_scenario(tiny()), 5, VARIANTS))
@@ -238,7 +238,7 @@ def test_an_interrupted_search_is_no_record(
     searched: list[tuple[object, Scenario]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Stopped:
-        def __init__(self, scenario: Scenario) -> None: ...
+        def __init__(self, scenario: Scenario, **_: Any) -> None: ...
 
         def to_dict(self) -> dict[str, Any]:
             return record("largest", 5, end="interrupted")

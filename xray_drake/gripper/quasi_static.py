@@ -118,7 +118,7 @@ _HOLDING = (_Phase.LIFT, _Phase.HOLD, _Phase.CARRY, _Phase.LOWER)
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion(Message):
+class QuasiStaticMotion(Message):
     """The gripper's state.
 
     ``segment`` moves the held object's centre of mass while one is held, else
@@ -228,7 +228,7 @@ class QuasiStaticGripper(LeafSystem):
         rest = RestTest(self._config.rest_motion, self._config.rest_round)
         home = Segment(_HOME, _HOME, 0.0, 1.0)
         self._state = self.DeclareAbstractState(
-            Value(_Motion(_Phase.IDLE, home, rest))
+            Value(QuasiStaticMotion(_Phase.IDLE, home, rest))
         )
         ticket = self.abstract_state_ticket(self._state)
         self.DeclareAbstractOutputPort(
@@ -262,7 +262,7 @@ class QuasiStaticGripper(LeafSystem):
             period_sec=period, offset_sec=0.0, update=self._update
         )
 
-    def state(self, context: Context) -> Message:
+    def state(self, context: Context) -> QuasiStaticMotion:
         """Returns what it is doing, for :meth:`set_state`.
 
         Args:
@@ -271,7 +271,11 @@ class QuasiStaticGripper(LeafSystem):
         return self._motion(context)
 
     def set_state(
-        self, context: Context, state: Message, *, action: SearchAction
+        self,
+        context: Context,
+        state: QuasiStaticMotion,
+        *,
+        action: SearchAction,
     ) -> None:
         """Lets it do what another gripper of the same heap did.
 
@@ -284,7 +288,7 @@ class QuasiStaticGripper(LeafSystem):
             replace(state, action=action)
         )
 
-    def _motion(self, context: Context) -> _Motion:
+    def _motion(self, context: Context) -> QuasiStaticMotion:
         return context.get_abstract_state(self._state).get_value()
 
     def _object_poses(self, context: Context) -> dict[str, np.ndarray]:
@@ -382,8 +386,8 @@ class QuasiStaticGripper(LeafSystem):
         return EventStatus.Succeeded()
 
     def _begin(
-        self, motion: _Motion, action: SearchAction, time: float
-    ) -> _Motion:
+        self, motion: QuasiStaticMotion, action: SearchAction, time: float
+    ) -> QuasiStaticMotion:
         if not action.grasp:
             return replace(
                 motion,
@@ -407,8 +411,11 @@ class QuasiStaticGripper(LeafSystem):
         )
 
     def _advance(
-        self, motion: _Motion, poses: dict[str, np.ndarray], time: float
-    ) -> _Motion:
+        self,
+        motion: QuasiStaticMotion,
+        poses: dict[str, np.ndarray],
+        time: float,
+    ) -> QuasiStaticMotion:
         grasp = motion.action.grasp
         if motion.phase in _HOLDING and self._has_slipped(motion, poses, time):
             return self._release(
@@ -453,8 +460,11 @@ class QuasiStaticGripper(LeafSystem):
         return replace(motion, phase=_Phase.IDLE)
 
     def _try(
-        self, motion: _Motion, poses: dict[str, np.ndarray], time: float
-    ) -> _Motion:
+        self,
+        motion: QuasiStaticMotion,
+        poses: dict[str, np.ndarray],
+        time: float,
+    ) -> QuasiStaticMotion:
         action = motion.action
         rng = stream(self._seed, "execution", action.number)
         X_WG, friction = perturb(action.grasp, rng, self._config.perturbation)
@@ -484,7 +494,10 @@ class QuasiStaticGripper(LeafSystem):
         )
 
     def _has_slipped(
-        self, motion: _Motion, poses: dict[str, np.ndarray], time: float
+        self,
+        motion: QuasiStaticMotion,
+        poses: dict[str, np.ndarray],
+        time: float,
     ) -> bool:
         name = motion.action.grasp.object
         X = poses[name]
@@ -494,8 +507,12 @@ class QuasiStaticGripper(LeafSystem):
         return bool(lag > self._config.slip_distance)
 
     def _carry(
-        self, motion: _Motion, phase: _Phase, to: np.ndarray, time: float
-    ) -> _Motion:
+        self,
+        motion: QuasiStaticMotion,
+        phase: _Phase,
+        to: np.ndarray,
+        time: float,
+    ) -> QuasiStaticMotion:
         segment = straight(
             motion.segment.end, to, time, speed=self._config.speed
         )
@@ -513,12 +530,12 @@ class QuasiStaticGripper(LeafSystem):
 
     def _release(
         self,
-        motion: _Motion,
+        motion: QuasiStaticMotion,
         poses: dict[str, np.ndarray],
         time: float,
         outcome: Outcome,
         reason: str,
-    ) -> _Motion:
+    ) -> QuasiStaticMotion:
         grasp = motion.action.grasp
         return replace(
             motion,
@@ -538,14 +555,17 @@ class QuasiStaticGripper(LeafSystem):
         return RestTest(self._config.rest_motion, self._config.rest_round)
 
     def _watch(
-        self, motion: _Motion, poses: dict[str, np.ndarray], time: float
-    ) -> _Motion:
+        self,
+        motion: QuasiStaticMotion,
+        poses: dict[str, np.ndarray],
+        time: float,
+    ) -> QuasiStaticMotion:
         corners = [box_corners(self._models[n], X) for n, X in poses.items()]
         points = np.concatenate([np.zeros((0, 3)), *corners])
         rest = motion.rest.update(time, points)
         return motion if rest is motion.rest else replace(motion, rest=rest)
 
-    def _is_quiet(self, motion: _Motion, time: float) -> bool:
+    def _is_quiet(self, motion: QuasiStaticMotion, time: float) -> bool:
         waited = time - motion.since
         return motion.rest.at_rest or waited >= self._config.rest_timeout
 

@@ -6,8 +6,11 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 
-from xray_drake.gripper.quasi_static import QuasiStaticGripper
-from xray_drake.messages import Grasp, Message, SearchAction
+from xray_drake.gripper.quasi_static import (
+    QuasiStaticGripper,
+    QuasiStaticMotion,
+)
+from xray_drake.messages import Grasp, SearchAction
 from xray_drake.scene.sleep import Sleeper
 from xray_drake.search.diagram import SearchDiagram
 from xray_drake.search.monitor import SearchMonitor
@@ -31,7 +34,7 @@ class Transition:
     time: float
     state: np.ndarray
     asleep: frozenset[str]
-    gripper: Message
+    gripper: QuasiStaticMotion
 
 
 class Transitions:
