@@ -143,7 +143,11 @@ def test_fusing_changes_no_answer(options: dict[str, object]) -> None:
     assert not any(isinstance(m, nn.BatchNorm2d) for m in fused.modules())
     expected = network.eval()(*inputs)
     assert expected.std() > 0.1
-    torch.testing.assert_close(fused(*inputs), expected, rtol=0, atol=1e-4)
+    for i, answer in enumerate(expected):
+        (alone,) = fused(*(each[i : i + 1] for each in inputs))
+        torch.testing.assert_close(alone, answer, rtol=0, atol=1e-4)
+    with pytest.raises(ValueError, match="one image, not for 2"):
+        fused(*inputs)
 
 
 @torch.no_grad()

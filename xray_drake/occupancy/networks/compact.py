@@ -99,8 +99,8 @@ class CompactNet(nn.Module):
             (B, 2, H, W): logits of :data:`OUTPUTS`.
         """
         code = self.size_code(size)  # (B, 64)
-        x0 = nn.functional.pixel_unshuffle(fine, QUARTER)  # (B, 32, H/4, W/4)
-        x0 = x0.contiguous(memory_format=torch.channels_last)
+        x0 = _unshuffled(fine)  # (B, 32, H/4, W/4)
+        coarse = coarse.contiguous(memory_format=torch.channels_last)
         x = torch.cat([x0, coarse], dim=1)  # (B, 35, H/4, W/4)
         x1 = self.down1((self.stem(x), code))[0]  # (B, w1, H/4, W/4)
         x2 = self.down2((self.shrink2(x1), code))[0]  # (B, w2, H/8, W/8)
@@ -115,15 +115,17 @@ class CompactNet(nn.Module):
         return nn.functional.pixel_shuffle(x, QUARTER)  # (B, 2, H, W)
 
     def fused(self) -> "CompactNet":
-        """Returns a copy for inference, normalisation within convolutions."""
+        """Returns a copy for inference, normalisation within convolutions.
+
+        It answers for one image at a time, and raises ValueError if given
+        more.
+        """
         net = copy.deepcopy(self).eval()
-        for block in net.modules():
-            if isinstance(block, _Block):
-                assert isinstance(block.norm1, nn.BatchNorm2d)
-                assert isinstance(block.norm2, nn.BatchNorm2d)
-                block.conv1 = fuse_conv_bn_eval(block.conv1, block.norm1)
-                block.conv2 = fuse_conv_bn_eval(block.conv2, block.norm2)
-                block.norm1, block.norm2 = nn.Identity(), nn.Identity()
+        for stage in net.children():
+            if isinstance(stage, nn.Sequential):
+                for i, block in enumerate(stage):
+                    if isinstance(block, _Block):
+                        stage[i] = _FusedBlock(block)
         return net
 
 
@@ -133,10 +135,10 @@ class _Block(nn.Module):
     def __init__(self, width: int, code: int) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(width, width, 3, padding=1, bias=False)
-        self.norm1: nn.Module = nn.BatchNorm2d(width)
+        self.norm1 = nn.BatchNorm2d(width)
         self.modulation = nn.Linear(code, 2 * width)
         self.conv2 = nn.Conv2d(width, width, 3, padding=1, bias=False)
-        self.norm2: nn.Module = nn.BatchNorm2d(width)
+        self.norm2 = nn.BatchNorm2d(width)
         nn.init.zeros_(self.modulation.weight)
         nn.init.zeros_(self.modulation.bias)
 
@@ -149,8 +151,49 @@ class _Block(nn.Module):
         return nn.functional.relu(x + y), code
 
 
+class _FusedBlock(nn.Module):
+    """The same for one image: all of it is in the convolutions.
+
+    To scale and to shift features takes as long as to convolve them; to scale
+    weights takes no time.
+    """
+
+    def __init__(self, block: _Block) -> None:
+        super().__init__()
+        self.conv1 = fuse_conv_bn_eval(block.conv1, block.norm1)
+        self.modulation = block.modulation
+        self.conv2 = fuse_conv_bn_eval(block.conv2, block.norm2)
+
+    def forward(self, pair: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        x, code = pair  # (1, width, h, w), (1, code)
+        if len(code) != 1:
+            raise ValueError(
+                f"a fused network answers for one image, not for {len(code)}"
+            )
+        scale, shift = self.modulation(code)[0].chunk(2)  # (width,) each
+        assert self.conv1.bias is not None
+        y = nn.functional.conv2d(
+            x,
+            self.conv1.weight * (1 + scale)[:, None, None, None],
+            self.conv1.bias * (1 + scale) + shift,
+            padding=1,
+        )
+        y = self.conv2(nn.functional.relu(y))
+        return nn.functional.relu(x + y), code
+
+
 def _stage(width: int, code: int, depth: int) -> nn.Sequential:
     return nn.Sequential(*(_Block(width, code) for _ in range(depth)))
+
+
+def _unshuffled(image: Tensor) -> Tensor:
+    """(B, C, 4h, 4w) to (B, 16 C, h, w), channels last: as pixel_unshuffle."""
+    b, c, height, width = image.shape
+    h, w = height // QUARTER, width // QUARTER
+    cells = image.reshape(b, c, h, QUARTER, w, QUARTER)
+    return (
+        cells.permute(0, 2, 4, 1, 3, 5).reshape(b, h, w, -1).permute(0, 3, 1, 2)
+    )
 
 
 def _grown(x: Tensor) -> Tensor:
