@@ -71,7 +71,8 @@ class _Networks(ModuleType):
     """Stands for ``xray_drake.occupancy.learned``; remembers what it saw.
 
     A network named "modal" answers the modal mask; "weak", half of it for the
-    sample of seed 2; any, nothing without scaling.
+    sample of seed 2; any, nothing without scaling, and a quarter of it for
+    posterior.
     """
 
     def __init__(self) -> None:
@@ -81,7 +82,12 @@ class _Networks(ModuleType):
         self.cameras: list[PinholeCamera] = []
 
     def load_inference(
-        self, path: Path, *, target_size: np.ndarray, scaling: bool = True
+        self,
+        path: Path,
+        *,
+        target_size: np.ndarray,
+        scaling: bool = True,
+        output: str = "occupancy",
     ) -> Any:
         if path.stem == "gone":
             raise ValueError(f"{path} holds no weights")
@@ -95,6 +101,8 @@ class _Networks(ModuleType):
             seed = round((float(depth[0, 0]) - 0.7) / 0.01)
             weak = path.stem == "weak" and seed == 2
             value = (0.5 if weak else 1.0) * scaling
+            if output == "posterior":
+                value /= 4
             return OccupancyDistribution(mask * value, 0.02)
 
         return SimpleNamespace(infer=infer)
@@ -115,6 +123,16 @@ def test_a_network_with_and_without_scaling(
     rows = _rows(result.stdout)
     assert rows["all, 4", "modal"][:2] == ["100.0%", "1.000"]
     assert rows["all, 4", "modal, unscaled"][1] == "0.000"
+
+
+def test_a_networks_posterior(folder: Path, networks: _Networks) -> None:
+    result = _run(folder, "--weights", "modal", "--posterior", "--no-exact")
+    assert result.exit_code == 0
+    rows = _rows(result.stdout)
+    assert rows["all, 4", "modal"][1] == "1.000"
+    # Off by more than the metrics allow, yet all of it on the target.
+    assert rows["all, 4", "modal, posterior"][1] == "0.000"
+    assert rows["all, 4", "modal, posterior"][3][:5] == "1.000"
 
 
 def _run(*arguments: object) -> Any:

@@ -54,6 +54,13 @@ def occupancy(
             "image to the box.",
         ),
     ] = False,
+    posterior: Annotated[
+        bool,
+        typer.Option(
+            "--posterior",
+            help="Networks' posterior, too: where the target probably is.",
+        ),
+    ] = False,
     split: OfSplit = None,
     target: OfTargets = None,
     images: Annotated[
@@ -110,7 +117,9 @@ def occupancy(
     """
     with errors_as_lines():
         _check_outputs(json, figure)
-        predictors = _predictors(weights or [], exact, unscaled)
+        predictors = _predictors(
+            weights or [], exact=exact, unscaled=unscaled, posterior=posterior
+        )
 
         from xray_drake.dataset.augmentation import DepthNoise
         from xray_drake.dataset.reader import OccupancyDataset
@@ -204,7 +213,7 @@ def _check_outputs(json: Path | None, figure: Path | None) -> None:
 
 
 def _predictors(
-    weights: Sequence[Path], exact: bool, unscaled: bool
+    weights: Sequence[Path], *, exact: bool, unscaled: bool, posterior: bool
 ) -> dict[str, "Predictor"]:
     """Returns networks, then exact inference, by the names of their rows.
 
@@ -231,6 +240,11 @@ def _predictors(
     if unscaled:
         found |= {
             f"{name}, unscaled": learned_predictor(path, scaling=False)
+            for name, path in named.items()
+        }
+    if posterior:
+        found |= {
+            f"{name}, posterior": learned_predictor(path, output="posterior")
             for name, path in named.items()
         }
     return found | ({_EXACT: exact_predictor()} if exact else {})

@@ -114,7 +114,10 @@ def search(
         ),
     ] = False,
 ) -> None:
-    """Drop a heap on a target and search for it."""
+    """Drop a heap on a target and search for it.
+
+    The scenario decides what an option leaves out.
+    """
     # Drake takes a second to import: not for --help and --version.
     from xray_drake.cli.search import SearchOptions, run
 
@@ -182,7 +185,10 @@ def benchmark(
         ),
     ] = True,
 ) -> None:
-    """Run policies on the same heaps and print the paper's Table II."""
+    """Run policies on the same heaps and print the paper's Table II.
+
+    The scenario decides what an option leaves out.
+    """
     from xray_drake.cli.benchmark import BenchmarkOptions, run
 
     with errors_as_lines():

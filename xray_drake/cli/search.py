@@ -188,23 +188,16 @@ def _summarize(
     record: SearchRecord, options: SearchOptions, console: Console
 ) -> None:
     table = Table(title=f"{record.policy} on seed {record.seed}")
-    for column in ("end", "actions", "hidden at the start", "support"):
+    for column in ("end", "actions", "target visible at the start", "support"):
         table.add_column(column)
     start = record.start.get("target_visible_fraction")
-    hidden = (
-        "unknown"
-        if start is None
-        else "wholly"
-        if start == 0
-        else f"{1 - start:.0%}"
-    )
     supports = [a.support_before for a in record.actions]
     if record.actions and record.actions[-1].support_after >= 0:
         supports.append(record.actions[-1].support_after)
     table.add_row(
         record.end or "not ended",
         f"{record.num_actions} of {record.horizon}",
-        hidden,
+        "unknown" if start is None else f"{start:.0%}",
         " → ".join(map(str, supports)),
     )
     console.print(table)

@@ -15,6 +15,7 @@ from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
 
 if TYPE_CHECKING:
+    from xray_drake.occupancy.learned import Output
     from xray_drake.occupancy.system import OccupancyModel
 
 
@@ -34,19 +35,24 @@ def exact_predictor() -> Predictor:
     return lambda sample: _infer(inference(sample.target_name), sample)
 
 
-def learned_predictor(path: Path, *, scaling: bool = True) -> Predictor:
+def learned_predictor(
+    path: Path, *, scaling: bool = True, output: "Output" = "occupancy"
+) -> Predictor:
     """Returns a network's inference; each size of target is prepared once.
 
     Args:
         path: of its weights; read when the first sample is asked about.
         scaling: see :class:`xray_drake.occupancy.learned.LearnedInference`.
+        output: see there.
     """
     # The networks are not needed where only exact inference is asked.
     from xray_drake.occupancy.learned import load_inference
 
     @cache
     def inference(size: tuple[float, ...]) -> "OccupancyModel":
-        return load_inference(path, target_size=np.array(size), scaling=scaling)
+        return load_inference(
+            path, target_size=np.array(size), scaling=scaling, output=output
+        )
 
     return lambda sample: _infer(
         inference(tuple(sample.target_size.tolist())), sample
