@@ -22,7 +22,7 @@ from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
 from xray_drake.occupancy.networks import build
 from xray_drake.occupancy.networks.fcn_resnet50 import FCNResNet50
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
-from xray_drake.training.backbone import load_backbone
+from xray_drake.training.beginning import load_backbone
 from xray_drake.training.box import box_size
 from xray_drake.training.config import (
     TrainConfig,

@@ -23,6 +23,7 @@ from xray_drake.dataset.shards import ShardAttributes, write_shard
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.networks.weights import (
     NetworkCard,
+    WeightsError,
     load_weights,
     read_card,
 )
@@ -379,6 +380,35 @@ def test_no_dataset_is_no_run(tmp_path: Path) -> None:
         train([tmp_path / "gone"], CONFIG, options)
 
 
+def test_weights_are_trained_further(
+    whole: tuple[Path, NetworkCard], run: _Run, tmp_path: Path
+) -> None:
+    weights = whole[0] / WEIGHTS
+    card = run(
+        tmp_path / "run", weights=str(weights), learning_rate=1e-12, passes=1
+    )
+    assert card.training["weights"] == str(weights)
+    before, _ = load_weights(weights)
+    after, _ = load_weights(tmp_path / "run" / WEIGHTS)
+    learned = [name for name in before if name.endswith(".weight")]
+    assert learned
+    for name in learned:
+        torch.testing.assert_close(after[name], before[name])
+    # What is resumed needs them no more.
+    run(tmp_path / "run", weights="gone", passes=2, resume=True)
+
+
+def test_weights_of_another_network_are_refused(
+    whole: tuple[Path, NetworkCard], run: _Run, tmp_path: Path
+) -> None:
+    options = {"widths": [8, 8, 8, 16], "depths": [1, 1, 1, 1]}
+    weights = str(whole[0] / WEIGHTS)
+    with pytest.raises(WeightsError, match="is not the configuration's"):
+        run(tmp_path / "other", weights=weights, options=options)
+    with pytest.raises(WeightsError, match="gone"):
+        run(tmp_path / "none", weights="gone.safetensors")
+
+
 main = typer.Typer()
 main.command()(train_command)
 
@@ -429,6 +459,7 @@ def _line(*arguments: object) -> tuple[str, int]:
         (["--config", "gone"], "no training configuration", 2),
         (["--config", "bad.yaml"], "bad.yaml: Key 'pases' not in", 2),
         (["--resume"], "there is nothing to resume", 2),
+        (["--weights", "gone.safetensors"], "gone.safetensors", 2),
         (["--out", "old"], "old holds a run: give --resume", 2),
         (["--out", "file"], "file", 1),
         (["--accelerator", "abacus"], "accelerator='abacus'", 2),

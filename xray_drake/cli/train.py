@@ -34,6 +34,10 @@ def train(
     passes: Annotated[
         float | None, typer.Option(help="Instead of the configuration's.")
     ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(help="Begin with these, in place of random ones."),
+    ] = None,
     workers: Annotated[
         int, typer.Option(min=1, help="Processes that prepare, or read.")
     ] = CORES,
@@ -62,6 +66,8 @@ def train(
             chosen.seed = seed
         if passes is not None:
             chosen.passes = passes
+        if weights is not None:
+            chosen.weights = weights
         check_config(chosen, config)
         options = RunOptions(
             out=out,

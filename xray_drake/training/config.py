@@ -81,6 +81,9 @@ class TrainConfig:
     # The input's mean is that of so many training images, of all if there are
     # fewer ("augmented_depth" only).
     input_mean_images: int = 1000
+    # Weights of the same network to begin with, to train them further or on
+    # other objects: a file of "xray-drake train". Drawn at random if empty.
+    weights: str = ""
     # Weights that the ResNet-50 begins with: safetensors, with torchvision's
     # names. Drawn at random if empty.
     backbone: str = ""
@@ -176,6 +179,11 @@ def check_config(config: TrainConfig, path: str) -> None:
                 f"{path}: {config.architecture} takes the {key} "
                 f"{_text(wanted)}, not {_text(value)}"
             )
+    if config.weights and config.backbone:
+        raise TrainingError(
+            f"{path}: both weights and a backbone are given to begin with: "
+            "leave one out"
+        )
     if config.items_per_epoch < config.batch_size:
         raise TrainingError(
             f"{path}: items_per_epoch is {config.items_per_epoch}, less than "

@@ -16,7 +16,7 @@ from torch import nn
 from xray_drake.files import write_whole_file
 from xray_drake.occupancy.networks.build import build_network
 from xray_drake.occupancy.networks.weights import NetworkCard, save_weights
-from xray_drake.training.backbone import load_backbone
+from xray_drake.training.beginning import begin_with, load_backbone
 from xray_drake.training.box import box_size
 from xray_drake.training.card import make_card
 from xray_drake.training.config import TrainConfig, TrainingError
@@ -86,13 +86,16 @@ def train(
 
     Raises:
         DatasetError, TrainingError, WeightsError: what was given cannot be
-            trained on, or the backbone is none.
+            trained on, or what to begin with is of another network.
         OSError: something cannot be written.
     """
     _open_run(options)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     size = box_size(datasets, config)
     net = build_network(config.architecture, config.options)
+    # What is resumed has its weights in the checkpoint.
+    if config.weights and not options.resume:
+        begin_with(net, Path(config.weights))
     make = _MAKERS[config.architecture]
     module, data = make(net, datasets, config, options, prepared)
     steps = _steps(data, options)

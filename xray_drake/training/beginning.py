@@ -1,4 +1,4 @@
-"""Weights of a ResNet-50 that was trained on something else."""
+"""Weights that training begins with, in place of random ones."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import safetensors.torch
 from safetensors import SafetensorError
 from torch import nn
 
-from xray_drake.occupancy.networks.weights import WeightsError
+from xray_drake.occupancy.networks.weights import WeightsError, load_weights
 
 _HEAD = "classifier."
 """The backbone has all parameters but these."""
@@ -18,6 +18,28 @@ _COUNTERS = "num_batches_tracked"
 """Older weights are without them, and nothing needs them."""
 
 _WANTED = "torchvision's resnet50 as safetensors"
+
+
+def begin_with(net: nn.Module, path: Path) -> None:
+    """Loads all weights of a network, to be trained further.
+
+    Args:
+        net: changed in place.
+        path: of weights that ``xray-drake train`` wrote.
+
+    Raises:
+        WeightsError: there are none, or they are another network's; ``net`` is
+            then unchanged.
+    """
+    state, card = load_weights(path)
+    own = {name: tensor.shape for name, tensor in net.state_dict().items()}
+    if own != {name: tensor.shape for name, tensor in state.items()}:
+        raise WeightsError(
+            f"{path} cannot be trained further: its network, "
+            f"{card.architecture} {card.options}, is not the configuration's; "
+            "give that its architecture and options"
+        )
+    net.load_state_dict(state)
 
 
 def load_backbone(net: nn.Module, path: Path) -> None:
