@@ -11,7 +11,8 @@ as if each were the true one, and scores against the dataset's label
 - *another pose*: the label of one of them;
 - *mean*: their mean, the answer of least expected squared error;
 - *best*: for each pixel the answer within 0.2 of most of them, as the metrics
-  ask, where all that can be known of the pose is known.
+  ask, where all that can be known of the pose is known;
+- *network*, with ``--weights``: what that answers to the same images.
 
 The walk starts at the true pose and keeps the target's tilt, so that where
 there are poses far away it finds fewer than there are: the ceiling is, if
@@ -36,6 +37,7 @@ from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import VirtualTarget, make_target, target_depth
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.label import LabelConfig, occupancy_label
+from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.metrics import TOLERANCE, PixelCounts, pixel_counts
 from xray_drake.seeding import stream
 
@@ -96,7 +98,7 @@ class Poses:
 
 
 def score(
-    folder: Path, index: int, *, labels: int, walk: int
+    folder: Path, index: int, *, labels: int, walk: int, weights: Path | None
 ) -> tuple[str, float, dict[str, PixelCounts]] | None:
     """Returns target, visible fraction and counts of one image."""
     sample = OccupancyDataset(folder, incomplete=True).sample(index)
@@ -126,6 +128,11 @@ def score(
         "mean": stack.mean(axis=0),
         "best": ANSWERS[within.argmax(axis=0)],
     }
+    if weights is not None:
+        network = load_inference(weights, target_size=sample.target_size)
+        answers["network"] = network.infer(
+            sample.depth, sample.target_modal, poses.camera
+        ).data
     return (
         sample.target_name,
         sample.visible_fraction,
@@ -139,6 +146,7 @@ def main(
     step: Annotated[int, typer.Option(min=1, help="Every n-th image.")] = 1,
     labels: Annotated[int, typer.Option(min=2, help="Poses an image.")] = 24,
     walk: Annotated[int, typer.Option(min=1, help="Steps between.")] = 40,
+    weights: Annotated[Path | None, typer.Option(help="To compare.")] = None,
     workers: Annotated[int, typer.Option(min=1)] = 2,
 ) -> None:
     """Prints how well the label can be known."""
@@ -146,7 +154,7 @@ def main(
     indices = range(0, number, step)[:images]
     total: dict[str, dict[str, PixelCounts]] = defaultdict(dict)
     count: dict[str, int] = defaultdict(int)
-    work = partial(score, dataset, labels=labels, walk=walk)
+    work = partial(score, dataset, labels=labels, walk=walk, weights=weights)
     with ProcessPoolExecutor(workers) as pool:
         for result in track(pool.map(work, indices), total=len(indices)):
             if result is None:
@@ -163,7 +171,8 @@ def main(
                         counted if so_far is None else so_far + counted
                     )
     table = Table(title="balanced accuracy / IoU")
-    for column in ("target", "images", "another pose", "mean", "best"):
+    answers = next(iter(total.values()), {})
+    for column in ("target", "images", *answers):
         table.add_column(column, justify="right")
     for row in sorted(total):
         table.add_row(
