@@ -28,9 +28,10 @@ def two_threads() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.mark.parametrize("seen", [False, True], ids=["hidden", "seen"])
 @pytest.mark.parametrize("output", ["occupancy", "posterior"])
 def test_inference_of_an_image(
-    benchmark: BenchmarkFixture, output: str
+    benchmark: BenchmarkFixture, output: str, seen: bool
 ) -> None:
     camera = CAMERAS["nominal"]
     rng = np.random.default_rng(0)
@@ -40,20 +41,29 @@ def test_inference_of_an_image(
         target_size=SIZE,
         output=output,  # type: ignore[arg-type]
     )
-    blank = np.zeros(camera.shape, bool)
-    answer = benchmark(inference.infer, depth, blank, camera)
+    mask = np.zeros(camera.shape, bool)
+    mask[200:206, 250:256] = seen
+    answer = benchmark(inference.infer, depth, mask, camera)
     assert answer.data.shape == camera.shape
 
 
+@pytest.mark.parametrize(
+    ("part", "height", "width"), [("whole", 384, 512), ("near", 128, 128)]
+)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_forward_pass_alone(
-    benchmark: BenchmarkFixture, dtype: torch.dtype
+    benchmark: BenchmarkFixture,
+    dtype: torch.dtype,
+    part: str,
+    height: int,
+    width: int,
 ) -> None:
     card = read_card(default_weights())
-    net = build_network(card.architecture, card.options).fused()  # type: ignore[operator]
-    net = channels_last(net.to(dtype))
-    fine, coarse = torch.rand(1, 2, 384, 512), torch.rand(1, 3, 96, 128)
+    both = build_network(card.architecture, card.options).fused()  # type: ignore[operator]
+    net = channels_last(getattr(both, part).to(dtype))
+    fine = torch.rand(1, 2, height, width)
+    coarse = torch.rand(1, 3, height // 4, width // 4)
     inputs = [each.to(dtype) for each in (fine, coarse, torch.rand(1, 5))]
     with torch.inference_mode():
         answer = benchmark(net, *inputs)
-    assert answer.shape == (1, 2, 384, 512)
+    assert answer.shape == (1, 2, height, width)

@@ -32,6 +32,7 @@ from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.module import CompactTraining
 from xray_drake.training.prepare import PrepareConfig, plan, prepare_shard
 from xray_drake.training.run import CARD, CHECKPOINT, WEIGHTS, RunOptions, train
+from xray_drake.training.windows import WindowedTraining
 
 pytestmark = [
     pytest.mark.filterwarnings(f"ignore:{text}")
@@ -251,10 +252,16 @@ class Killed(BaseException):
 
 
 def _killed(
-    run: _Run, out: Path, monkeypatch: pytest.MonkeyPatch, *, epoch: int
+    run: _Run,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    epoch: int,
+    training: Any = CompactTraining,
+    **change: Any,
 ) -> None:
     """Begins a run, which ends in the midst of an epoch."""
-    step = CompactTraining.training_step
+    step = training.training_step
 
     def training_step(self: Any, batch: Any, index: int) -> Any:
         if self.current_epoch == epoch and index == 1:
@@ -262,9 +269,9 @@ def _killed(
         return step(self, batch, index)
 
     with monkeypatch.context() as patch:
-        patch.setattr(CompactTraining, "training_step", training_step)
+        patch.setattr(training, "training_step", training_step)
         with pytest.raises(Killed):
-            run(out)
+            run(out, **change)
     assert not (out / WEIGHTS).exists()
 
 
@@ -407,6 +414,58 @@ def test_weights_of_another_network_are_refused(
         run(tmp_path / "other", weights=weights, options=options)
     with pytest.raises(WeightsError, match="gone"):
         run(tmp_path / "none", weights="gone.safetensors")
+
+
+WINDOWED: dict[str, Any] = {
+    "architecture": "windowed",
+    "options": {
+        "whole": CONFIG.options,
+        "near": {"widths": [8, 8, 8, 12], "depths": [1, 1, 1, 1]},
+    },
+}
+
+
+def test_the_part_for_windows_is_trained_beside_that_for_images(
+    whole: tuple[Path, NetworkCard], run: _Run, tmp_path: Path
+) -> None:
+    weights = whole[0] / WEIGHTS
+    out = tmp_path / "run"
+    card = run(out, weights=str(weights), **WINDOWED)
+    assert card.architecture == "windowed"
+    assert card.training["freeze_norm"] == 0.6
+    before, _ = load_weights(weights)
+    after, _ = load_weights(out / WEIGHTS)
+    for name, tensor in before.items():
+        assert torch.equal(after[f"whole.{name}"], tensor), name
+    (figures,) = card.figures.values()
+    assert 0 <= figures["validation/iou"] <= 1
+    load_inference(out / WEIGHTS, target_size=np.array([0.06, 0.03, 0.005]))
+    # It is itself something to train further.
+    on = run(tmp_path / "on", weights=str(out / WEIGHTS), passes=1, **WINDOWED)
+    further, _ = load_weights(tmp_path / "on" / WEIGHTS)
+    assert on.training["weights"] == str(out / WEIGHTS)
+    assert further.keys() == after.keys()
+
+
+def test_a_windowed_run_that_was_killed_goes_on_as_it_would_have_gone(
+    whole: tuple[Path, NetworkCard],
+    run: _Run,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    change = {**WINDOWED, "weights": str(whole[0] / WEIGHTS)}
+    run(tmp_path / "once", **change)
+    out = tmp_path / "twice"
+    _killed(run, out, monkeypatch, epoch=1, training=WindowedTraining, **change)
+    run(out, resume=True, **change)
+    assert _same_weights(tmp_path / "once", out)
+
+
+def test_windows_need_a_network_for_what_is_hidden(
+    run: _Run, tmp_path: Path
+) -> None:
+    with pytest.raises(TrainingError, match="give its file by --weights"):
+        run(tmp_path / "run", **WINDOWED)
 
 
 main = typer.Typer()

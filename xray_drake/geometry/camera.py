@@ -43,6 +43,14 @@ class PinholeCamera:
         """The shape of its images, ``(height, width)``."""
         return self.height, self.width
 
+    def cropped(self, rows: slice, columns: slice) -> "PinholeCamera":
+        """Returns the camera of a part of its images."""
+        K = np.array(self.intrinsics)
+        K[:2, 2] -= columns.start, rows.start
+        return PinholeCamera(
+            columns.stop - columns.start, rows.stop - rows.start, K, self.X_WC
+        )
+
     @property
     def floor_scale(self) -> float:
         """Pixels per metre of the floor, as seen from straight above."""

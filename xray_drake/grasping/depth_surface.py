@@ -56,17 +56,6 @@ class DepthSurface:
         return near / float(self.camera.intrinsics[0, 0])
 
 
-def crop_camera(
-    camera: PinholeCamera, rows: slice, columns: slice
-) -> PinholeCamera:
-    """Returns the camera of a part of its images."""
-    K = np.array(camera.intrinsics)
-    K[:2, 2] -= columns.start, rows.start
-    return PinholeCamera(
-        columns.stop - columns.start, rows.stop - rows.start, K, camera.X_WC
-    )
-
-
 def fill_gaps(depth: np.ndarray) -> np.ndarray:
     """Gives each pixel without a reading the farther of its row's next ones.
 
@@ -153,7 +142,7 @@ def observe(
             (np.flatnonzero(mask.any(axis=0)), camera.width),
         )
     )
-    part = crop_camera(camera, rows, columns)
+    part = camera.cropped(rows, columns)
     depth = whole[rows, columns].astype(float)
     points = part.unproject(np.where(np.isfinite(depth), depth, 0.0))
     return DepthSurface(

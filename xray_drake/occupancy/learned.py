@@ -40,6 +40,8 @@ from xray_drake.occupancy.networks.weights import (
     load_weights,
     read_card,
 )
+from xray_drake.occupancy.networks.window import target_window
+from xray_drake.occupancy.networks.windowed import WindowedNet
 from xray_drake.occupancy.observation import check_observation
 from xray_drake.resources import models_dir
 
@@ -78,10 +80,10 @@ class LearnedInference:
             target_size: (3,) length, width, thickness of the target's bounding
                 box, m.
             output: "occupancy", where a flat target could lie; or
-                "posterior", where it probably is ("compact" only).
+                "posterior", where it probably is (not "fcn_resnet50").
             scaling: scale the image for a network of a single box; otherwise
                 it sees it as it is.
-            dtype: in which a "compact" network computes; by default
+            dtype: in which our networks compute; by default
                 :func:`~xray_drake.occupancy.networks.build.fast_dtype`.
 
         Raises:
@@ -102,7 +104,7 @@ class LearnedInference:
             thickness = self._size[2]
             self._size = np.array([*card.box_size[:2], thickness])
         self._dtype = torch.float32
-        if isinstance(net, CompactNet):
+        if isinstance(net, CompactNet | WindowedNet):
             self._dtype = dtype or fast_dtype()
             net = net.fused().to(self._dtype)
         self._net = channels_last(net.eval())
@@ -163,10 +165,35 @@ class LearnedInference:
     def _from_geometry(
         self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        images = geometry_input(depth, mask, camera, float(self._size[2]))
         size = size_features(self._size, mask, camera)
+        net = self._net
+        if not isinstance(net, WindowedNet):
+            return self._asked(net, depth, mask, camera, size)
+        if not mask.any():
+            return self._asked(net.whole, depth, mask, camera, size)
+        window = target_window(mask, size)
+        answer = np.zeros(camera.shape, np.float32)
+        answer[window.rows, window.columns] = self._asked(
+            net.near,
+            window.of(depth),
+            window.of(mask),
+            camera.cropped(window.rows, window.columns),
+            size,
+        )
+        return answer
+
+    def _asked(
+        self,
+        net: nn.Module,
+        depth: np.ndarray,
+        mask: np.ndarray,
+        camera: PinholeCamera,
+        size: np.ndarray,
+    ) -> np.ndarray:
+        """What a network answers to images, in their shape."""
+        images = geometry_input(depth, mask, camera, float(self._size[2]))
         with torch.inference_mode():
-            logits = self._net(
+            logits = net(
                 *(
                     torch.from_numpy(array)[None].to(self._dtype)
                     for array in (*images, size)
@@ -241,11 +268,17 @@ def _try(net: nn.Module, card: NetworkCard) -> None:
     side = SIZE_STEP
     with torch.inference_mode():
         if card.input == "geometry":
-            net(
-                torch.zeros(1, len(FINE), side, side),
-                torch.zeros(1, len(COARSE), side // QUARTER, side // QUARTER),
-                torch.zeros(1, len(SIZE_FEATURES)),
-            )
+            parts: list[nn.Module] = [net]
+            if isinstance(net, WindowedNet):
+                parts = [net.whole, net.near]
+            for part in parts:
+                part(
+                    torch.zeros(1, len(FINE), side, side),
+                    torch.zeros(
+                        1, len(COARSE), side // QUARTER, side // QUARTER
+                    ),
+                    torch.zeros(1, len(SIZE_FEATURES)),
+                )
         else:
             net(torch.zeros(1, 3, side, side))
 

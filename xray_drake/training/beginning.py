@@ -7,6 +7,7 @@ from safetensors import SafetensorError
 from torch import nn
 
 from xray_drake.occupancy.networks.weights import WeightsError, load_weights
+from xray_drake.occupancy.networks.windowed import WindowedNet
 
 _HEAD = "classifier."
 """The backbone has all parameters but these."""
@@ -24,7 +25,8 @@ def begin_with(net: nn.Module, path: Path) -> None:
     """Loads all weights of a network, to be trained further.
 
     Args:
-        net: changed in place.
+        net: changed in place. A ``WindowedNet`` takes those of a
+            ``CompactNet``, too, as its part for whole images.
         path: of weights that ``xray-drake train`` wrote.
 
     Raises:
@@ -32,6 +34,8 @@ def begin_with(net: nn.Module, path: Path) -> None:
             then unchanged.
     """
     state, card = load_weights(path)
+    if isinstance(net, WindowedNet) and card.architecture == "compact":
+        net = net.whole
     own = {name: tensor.shape for name, tensor in net.state_dict().items()}
     if own != {name: tensor.shape for name, tensor in state.items()}:
         raise WeightsError(

@@ -25,6 +25,12 @@ _FIXED: Mapping[str, Mapping[str, Any]] = {
         "label_scale": 1.0,
         "backbone": "",
     },
+    "windowed": {
+        "input": "geometry",
+        "loss": "robust",
+        "label_scale": 1.0,
+        "backbone": "",
+    },
     "fcn_resnet50": {
         "input": "augmented_depth",
         "loss": "mse",
@@ -44,7 +50,8 @@ class TrainConfig:
     """A training run; see ``models/training/*.yaml``."""
 
     name: str = "compact"
-    # "compact" or "fcn_resnet50".
+    # "compact"; "windowed", of which the part for windows is trained, and the
+    # other is that of "weights"; or "fcn_resnet50".
     architecture: str = "compact"
     # Its constructor's arguments.
     options: dict[str, Any] = field(default_factory=dict)
@@ -75,6 +82,9 @@ class TrainConfig:
     # "robust": smooth L1 and cross entropy, see ``training.losses``; or "mse",
     # the paper's, the mean over all pixels.
     loss: str = "robust"
+    # Weight of the cross entropy in "robust", a mean over the pixels: a window
+    # has fewer of them that are empty.
+    entropy_weight: float = 2.0
     # What the label's 1 is to the "mse" (the paper's authors' labels are bytes,
     # so 255); a learning rate means nothing without it.
     label_scale: float = 1.0
@@ -87,6 +97,9 @@ class TrainConfig:
     # Weights that the ResNet-50 begins with: safetensors, with torchvision's
     # names. Drawn at random if empty.
     backbone: str = ""
+    # Share of the steps after which the normalisation's means and variances
+    # stay ("windowed"): one batch has windows of one size, inference of any.
+    freeze_norm: float = 0.6
     # Weight of the second answer's loss, the posterior; 0 does without.
     posterior_weight: float = 1.0
     # Lightning's name: "32-true", "bf16-mixed", ...

@@ -12,12 +12,13 @@ _BETA = 0.1
 _AREA = 64.0
 """Pixels added to a label's area, so that small ones do not rule."""
 
-_ENTROPY_WEIGHT = 2.0
 _POSTERIOR_WEIGHT = 10.0
 """A target fills about one pixel in a hundred."""
 
 
-def robust_loss(logits: Tensor, label: Tensor) -> Tensor:
+def robust_loss(
+    logits: Tensor, label: Tensor, entropy_weight: float = 2.0
+) -> Tensor:
     """Returns the loss of the occupancy distribution.
 
     Smooth L1, since the metrics ask whether a pixel is within 0.2, once
@@ -28,6 +29,7 @@ def robust_loss(logits: Tensor, label: Tensor) -> Tensor:
     Args:
         logits: (B, h, w).
         label: (B, h, w) in [0, 1].
+        entropy_weight: of the cross entropy's mean over the pixels.
     """
     error = functional.smooth_l1_loss(
         torch.sigmoid(logits), label, beta=_BETA, reduction="none"
@@ -36,7 +38,7 @@ def robust_loss(logits: Tensor, label: Tensor) -> Tensor:
     pooled = error.sum() / (area.sum() + _AREA)
     each = (error / (area + _AREA)).mean()
     entropy = functional.binary_cross_entropy_with_logits(logits, label)
-    return pooled + each + _ENTROPY_WEIGHT * entropy
+    return pooled + each + entropy_weight * entropy
 
 
 def mse_loss(output: Tensor, label: Tensor) -> Tensor:

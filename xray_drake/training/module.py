@@ -95,11 +95,16 @@ class OccupancyTraining(lightning.LightningModule):
         }
 
 
-class CompactTraining(OccupancyTraining):
-    """Trains a network of geometry and size; logs PROTOCOL.md's metrics."""
+class GeometryTraining(OccupancyTraining):
+    """Trains networks of geometry and size; logs PROTOCOL.md's metrics."""
 
     resolution = "full resolution"
-    unused = ("label_scale", "input_mean_images", "backbone")
+    unused: tuple[str, ...] = (
+        "label_scale",
+        "input_mean_images",
+        "backbone",
+        "freeze_norm",
+    )
 
     def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
         """Keeps what it is given.
@@ -112,23 +117,6 @@ class CompactTraining(OccupancyTraining):
         super().__init__(net, config, steps)
         self._counts = torch.zeros(5, dtype=torch.float64)
         self._mass: list[Tensor] = []
-
-    def training_step(self, batch: Batch, index: int) -> Tensor:
-        """Returns the loss of one batch, mirrored at random; of shape ()."""
-        *images, sizes, real = batch
-        axes = self.flipped_axes()
-        fine, coarse, labels = (image.flip(axes) for image in images)
-        return self._loss("train", (fine, coarse, labels, sizes, real))[0]
-
-    def validation_step(self, batch: Batch, index: int) -> None:
-        """Counts pixels."""
-        _, output = self._loss("validation", batch)
-        _, _, labels, _, real = batch
-        label, amodal = (labels.float() / 255).unbind(dim=1)
-        occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
-        self._counts += pixel_counts(occupancy, label).cpu()
-        share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
-        self._mass.append(share[real].cpu())
 
     def on_validation_epoch_end(self) -> None:
         """Logs what was counted, on all devices."""
@@ -146,12 +134,22 @@ class CompactTraining(OccupancyTraining):
         self._counts.zero_()
         self._mass.clear()
 
+    def _count(self, output: Tensor, labels: Tensor, real: Tensor) -> None:
+        """Adds the pixels of (B, 2, h, w) answers and labels."""
+        label, amodal = (labels.float() / 255).unbind(dim=1)
+        occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
+        self._counts += pixel_counts(occupancy, label).cpu()
+        share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
+        self._mass.append(share[real].cpu())
+
     def _loss(self, stage: str, batch: Batch) -> tuple[Tensor, Tensor]:
         fine, coarse, labels, sizes, real = batch
         output = self.net(_scaled(fine), _scaled(coarse), sizes)
         logits = output.float()  # (B, 2, H, W)
         label, amodal = (labels.float() / 255).unbind(dim=1)
-        occupancy = robust_loss(logits[:, 0], label)
+        occupancy = robust_loss(
+            logits[:, 0], label, self._config.entropy_weight
+        )
         posterior = posterior_loss(logits[:, 1], amodal, real)
         loss = occupancy + self._config.posterior_weight * posterior
         training = stage == "train"
@@ -167,6 +165,23 @@ class CompactTraining(OccupancyTraining):
             batch_size=len(fine),
         )
         return loss, output
+
+
+class CompactTraining(GeometryTraining):
+    """Trains a network on whole images."""
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        """Returns the loss of one batch, mirrored at random; of shape ()."""
+        *images, sizes, real = batch
+        axes = self.flipped_axes()
+        fine, coarse, labels = (image.flip(axes) for image in images)
+        return self._loss("train", (fine, coarse, labels, sizes, real))[0]
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        """Counts pixels."""
+        _, output = self._loss("validation", batch)
+        _, _, labels, _, real = batch
+        self._count(output, labels, real)
 
 
 def _scaled(images: Tensor) -> Tensor:

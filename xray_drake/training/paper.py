@@ -90,7 +90,13 @@ class PaperTraining(OccupancyTraining):
     """
 
     resolution = "full resolution"
-    unused = ("virtual", "posterior_weight", "prepare")
+    unused = (
+        "virtual",
+        "posterior_weight",
+        "prepare",
+        "entropy_weight",
+        "freeze_norm",
+    )
     input_mean: Tensor
     _counts: Tensor
 

@@ -16,6 +16,7 @@ from torch import nn
 from xray_drake.files import write_whole_file
 from xray_drake.occupancy.networks.build import build_network
 from xray_drake.occupancy.networks.weights import NetworkCard, save_weights
+from xray_drake.occupancy.networks.windowed import WindowedNet
 from xray_drake.training.beginning import begin_with, load_backbone
 from xray_drake.training.box import box_size
 from xray_drake.training.card import make_card
@@ -24,6 +25,7 @@ from xray_drake.training.data import PreparedData, TrainingData
 from xray_drake.training.module import CompactTraining, OccupancyTraining
 from xray_drake.training.paper import PaperData, PaperTraining
 from xray_drake.training.prepare import plan, prepare
+from xray_drake.training.windows import WindowedData, WindowedTraining
 
 Progress = Callable[[int, int], None]
 """Is told of prepared shards, done and of all."""
@@ -122,6 +124,38 @@ def _make_compact(
     prepared: Progress,
 ) -> tuple[OccupancyTraining, TrainingData]:
     """Prepares the items of the datasets, and trains on those."""
+    files = _prepared(datasets, config, options, prepared)
+    data = PreparedData(files, config)
+    return CompactTraining(net, config, _steps(data, options)), data
+
+
+def _make_windowed(
+    net: nn.Module,
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    options: RunOptions,
+    prepared: Progress,
+) -> tuple[OccupancyTraining, TrainingData]:
+    """Prepares the items of the datasets, and trains on windows of those."""
+    assert isinstance(net, WindowedNet)
+    if not config.weights:
+        raise TrainingError(
+            "a windowed network needs weights of a compact one, which answers "
+            "where nothing of the target is seen: train that first, and give "
+            "its file by --weights"
+        )
+    files = _prepared(datasets, config, options, prepared)
+    data = WindowedData(files, config)
+    return WindowedTraining(net, config, _steps(data, options)), data
+
+
+def _prepared(
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    options: RunOptions,
+    prepared: Progress,
+) -> list[Path]:
+    """Prepares the items of the datasets; returns their files."""
     cache = options.cache or options.out / "cache"
     share = config.validation_share
     jobs = plan(
@@ -133,8 +167,7 @@ def _make_compact(
     )
     for done in prepare(jobs, config.prepare, share, workers=options.workers):
         prepared(done, len(jobs))
-    data = PreparedData([path for _, path in jobs], config)
-    return CompactTraining(net, config, _steps(data, options)), data
+    return [path for _, path in jobs]
 
 
 def _make_paper(
@@ -160,6 +193,7 @@ def _make_paper(
 
 _MAKERS: Mapping[str, Callable[..., tuple[OccupancyTraining, TrainingData]]] = {
     "compact": _make_compact,
+    "windowed": _make_windowed,
     "fcn_resnet50": _make_paper,
 }
 """By architecture: what trains the network, and the data."""
@@ -257,6 +291,8 @@ def _trainer(
         enable_model_summary=False,
         log_every_n_steps=max(1, min(_LOG_EVERY, steps // _FEWEST_LOGGED)),
         num_sanity_val_steps=0,
+        # Windows are shared out by their size.
+        use_distributed_sampler=config.architecture != "windowed",
     )
 
 

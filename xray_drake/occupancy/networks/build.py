@@ -8,10 +8,12 @@ from torch import nn
 
 from xray_drake.occupancy.networks.compact import CompactNet
 from xray_drake.occupancy.networks.fcn_resnet50 import FCNResNet50
+from xray_drake.occupancy.networks.windowed import WindowedNet
 
 ARCHITECTURES: Mapping[str, Callable[..., nn.Module]] = {
     "compact": CompactNet,
     "fcn_resnet50": FCNResNet50,
+    "windowed": WindowedNet,
 }
 
 

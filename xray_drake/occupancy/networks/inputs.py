@@ -131,17 +131,31 @@ def size_features(
     distance = camera.X_WC[2, 3] / max(-center, 1e-6)
     long, short = max(size[0], size[1]), min(size[0], size[1])
     pixels = K[0, 0] / distance * np.array([long, short])
-    scale = _TYPICAL_PIXELS * camera.width / 512
     seen = np.count_nonzero(mask)
     return np.array(
         [
-            *np.log(np.maximum(pixels, 1e-3) / scale),
+            *np.log(np.maximum(pixels, 1e-3) / _scale(camera.width)),
             size[2] / _TYPICAL_THICKNESS,
             float(seen == 0),
             min(1.0, seen / pixels.prod()),
         ],
         dtype=np.float32,
     )
+
+
+def lengths_in_image(size: np.ndarray, width: int) -> np.ndarray:
+    """Returns a target's length and width in the image, pixels.
+
+    Args:
+        size: (5,), of :func:`size_features`.
+        width: of the image.
+    """
+    return np.exp(size[:2]) * _scale(width)
+
+
+def _scale(width: int) -> float:
+    """Pixels that a target is typically long in an image of a width."""
+    return _TYPICAL_PIXELS * width / 512
 
 
 def _on_floor(camera: PinholeCamera) -> np.ndarray:

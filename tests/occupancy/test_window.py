@@ -1,0 +1,152 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from tests.occupancy.scenes import make_camera
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.networks.inputs import (
+    geometry_input,
+    lengths_in_image,
+    size_features,
+)
+from xray_drake.occupancy.networks.window import Window, target_window
+
+CAMERA = make_camera(size=(512, 384))
+
+
+def outline(
+    size: tuple[float, float], place: tuple[float, float], angle: float
+) -> np.ndarray:
+    """(H, W) bool: a flat rectangle on the floor, seen by the camera."""
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size / 2
+    c, s = np.cos(angle), np.sin(angle)
+    points = corners @ np.array([[c, s], [-s, c]]) + place
+    u, v = CAMERA.project(np.c_[points, np.zeros(4)])[:, :2].T
+    rows, columns = np.indices(CAMERA.shape)
+    inside = np.ones(CAMERA.shape, bool)
+    area = 0.0
+    for i in range(4):
+        j = (i + 1) % 4
+        area += u[i] * v[j] - u[j] * v[i]
+    for i in range(4):
+        j = (i + 1) % 4
+        cross = (u[j] - u[i]) * (rows - v[i]) - (v[j] - v[i]) * (columns - u[i])
+        inside &= cross * np.sign(area) >= 0
+    return inside
+
+
+_length = st.floats(0.02, 0.12)
+_place = st.tuples(st.floats(-0.2, 0.2), st.floats(-0.14, 0.14))
+_angle = st.floats(0, np.pi)
+
+
+@given(
+    size=st.tuples(_length, _length),
+    true=st.tuples(_place, _angle),
+    shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
+    other=_angle,
+    cut=st.integers(1, 100),
+)
+@settings(max_examples=60)
+def test_it_holds_every_pose_that_covers_what_is_seen(
+    size: tuple[float, float],
+    true: tuple[tuple[float, float], float],
+    shift: tuple[float, float],
+    other: float,
+    cut: int,
+) -> None:
+    whole = outline(size, *true)
+    columns = np.flatnonzero(whole.any(axis=0))
+    assume(len(columns) > 0)
+    seen = whole.copy()
+    # What lies right of a line is hidden.
+    seen[:, columns[0] + 1 + (len(columns) * cut) // 100 :] = False
+    rows, columns = np.nonzero(seen)
+    middle = np.array([columns.mean(), rows.mean(), 1.0])
+    x, y, w = np.linalg.inv(CAMERA.plane_homography(0.0)) @ middle
+    # Another pose that might show the same.
+    place = np.array([x / w, y / w]) + np.multiply(shift, max(size) / 2)
+    explanation = outline(size, (float(place[0]), float(place[1])), other)
+    assume(not (seen & ~explanation).any())
+    features = size_features(np.array([*size, 0.005]), seen, CAMERA)
+    window = target_window(seen, features)
+    for mask in (seen, whole, explanation):
+        left_out = mask.copy()
+        left_out[window.rows, window.columns] = False
+        assert not left_out.any()
+
+
+@given(
+    shape=st.sampled_from([(384, 512), (192, 256), (64, 96), (32, 32)]),
+    spots=st.lists(
+        st.tuples(st.floats(0, 0.999), st.floats(0, 0.999)),
+        min_size=1,
+        max_size=3,
+    ),
+    size=st.tuples(_length, _length),
+)
+def test_it_is_a_square_in_the_image_or_as_large_as_that(
+    shape: tuple[int, int],
+    spots: list[tuple[float, float]],
+    size: tuple[float, float],
+) -> None:
+    height, width = shape
+    mask = np.zeros(shape, bool)
+    for v, u in spots:
+        mask[int(v * height), int(u * width)] = True
+    camera = dataclasses.replace(CAMERA, width=width, height=height)
+    window = target_window(
+        mask, size_features(np.array([*size, 0.005]), mask, camera)
+    )
+    assert window.top % 4 == window.left % 4 == 0
+    assert window.height % 32 == window.width % 32 == 0
+    assert 0 <= window.top <= height - window.height
+    assert 0 <= window.left <= width - window.width
+    side = max(window.height, window.width)
+    assert window.height == min(side, height)
+    assert window.width == min(side, width)
+    assert window.of(mask).sum() == mask.sum()
+
+
+def test_a_small_target_has_a_small_window() -> None:
+    mask = np.zeros(CAMERA.shape, bool)
+    mask[200:204, 300:306] = True
+    features = size_features(np.array([0.04, 0.02, 0.005]), mask, CAMERA)
+    assert lengths_in_image(features, 512) == pytest.approx(
+        [0.04 * CAMERA.floor_scale, 0.02 * CAMERA.floor_scale], rel=0.01
+    )
+    window = target_window(mask, features)
+    assert window.height == window.width == 96
+    assert abs(window.top + 48 - 202) <= 2
+    assert abs(window.left + 48 - 303) <= 2
+
+
+def test_a_target_that_is_not_seen_has_none() -> None:
+    mask = np.zeros(CAMERA.shape, bool)
+    with pytest.raises(ValueError, match="can be anywhere"):
+        target_window(mask, np.zeros(5, np.float32))
+
+
+def test_what_the_network_sees_of_it_is_part_of_what_it_sees_of_all() -> None:
+    rng = np.random.default_rng(0)
+    camera: PinholeCamera = make_camera(size=(512, 384), tilt=6, azimuth=30)
+    depth = camera.plane_depth(0.0) - rng.uniform(0, 0.05, camera.shape)
+    depth = depth.astype(np.float32)
+    depth[rng.random(camera.shape) < 0.02] = 0.0
+    mask = np.zeros(camera.shape, bool)
+    mask[90:110, 100:120] = True
+    window = Window(top=68, left=40, height=96, width=128)
+    whole = geometry_input(depth, mask, camera, 0.01)
+    part = geometry_input(
+        window.of(depth),
+        window.of(mask),
+        camera.cropped(window.rows, window.columns),
+        0.01,
+    )
+    np.testing.assert_allclose(part.fine, window.of(whole.fine), atol=2e-3)
+    np.testing.assert_allclose(
+        part.coarse, window.of_coarse(whole.coarse), atol=1e-5
+    )
