@@ -41,17 +41,42 @@ def test_a_perfect_answer_has_no_loss() -> None:
     assert robust_loss(sure(empty), empty) < 1e-6
 
 
-def test_no_answer_is_better_than_the_label() -> None:
+@pytest.mark.parametrize("miss_weight", [0.0, 1.0])
+def test_no_answer_is_better_than_the_label(miss_weight: float) -> None:
+    def loss(logits: Tensor) -> Tensor:
+        return robust_loss(logits, label, miss_weight=miss_weight)
+
     label = random(3) * 0.9 + 0.05
     logits = torch.logit(label)
-    least = robust_loss(logits, label)
+    least = loss(logits)
     for seed in range(5):
         other = logits + 0.3 * (random(seed) - 0.5)
-        assert robust_loss(other, label) > least
+        assert loss(other) > least
     logits = logits.clone().requires_grad_()
-    robust_loss(logits, label).backward()
+    loss(logits).backward()
     assert logits.grad is not None
     assert logits.grad.abs().max() < 1e-6
+
+
+def test_misses_ask_for_one_of_two_answers_not_for_one_between() -> None:
+    # Either is as likely as the other; the metrics count 0.5 as two misses.
+    one = torch.tensor([0.2, 0.8]).repeat(8, 4)
+    labels = torch.stack([one, 1 - one])
+
+    def best(miss_weight: float) -> float:
+        losses = {}
+        for share in (0.0, 0.25, 0.5):
+            answer = torch.lerp(one, 1 - one, share).expand(2, 8, 8)
+            losses[share] = robust_loss(
+                torch.logit(answer),
+                labels,
+                entropy_weight=0.1,
+                miss_weight=miss_weight,
+            )
+        return min(losses, key=losses.__getitem__)
+
+    assert best(0.0) == 0.5
+    assert best(1.0) == 0.0
 
 
 @given(wrong=st.integers(1, 200), right=st.integers(0, 100))

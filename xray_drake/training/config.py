@@ -85,6 +85,8 @@ class TrainConfig:
     # Weight of the cross entropy in "robust", a mean over the pixels: a window
     # has fewer of them that are empty.
     entropy_weight: float = 2.0
+    # Weight of pixels that are far off in "robust".
+    miss_weight: float = 0.0
     # What the label's 1 is to the "mse" (the paper's authors' labels are bytes,
     # so 255); a learning rate means nothing without it.
     label_scale: float = 1.0

@@ -148,7 +148,10 @@ class GeometryTraining(OccupancyTraining):
         logits = output.float()  # (B, 2, H, W)
         label, amodal = (labels.float() / 255).unbind(dim=1)
         occupancy = robust_loss(
-            logits[:, 0], label, self._config.entropy_weight
+            logits[:, 0],
+            label,
+            entropy_weight=self._config.entropy_weight,
+            miss_weight=self._config.miss_weight,
         )
         posterior = posterior_loss(logits[:, 1], amodal, real)
         loss = occupancy + self._config.posterior_weight * posterior

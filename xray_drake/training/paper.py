@@ -95,6 +95,7 @@ class PaperTraining(OccupancyTraining):
         "posterior_weight",
         "prepare",
         "entropy_weight",
+        "miss_weight",
         "freeze_norm",
     )
     input_mean: Tensor
