@@ -395,6 +395,7 @@ def test_weights_are_trained_further(
         tmp_path / "run", weights=str(weights), learning_rate=1e-12, passes=1
     )
     assert card.training["weights"] == str(weights)
+    assert card.training["began with"]["optimizer steps"] == STEPS
     before, _ = load_weights(weights)
     after, _ = load_weights(tmp_path / "run" / WEIGHTS)
     learned = [name for name in before if name.endswith(".weight")]

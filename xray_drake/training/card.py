@@ -4,12 +4,13 @@ import platform
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import lightning
 import torch
 
 from xray_drake.dataset.manifest import read_manifest
-from xray_drake.occupancy.networks.weights import NetworkCard
+from xray_drake.occupancy.networks.weights import NetworkCard, read_card
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import TrainingData
 from xray_drake.training.module import OccupancyTraining
@@ -67,6 +68,7 @@ def make_card(
         },
         training={
             **module.facts(),
+            **_beginning(config),
             "optimizer steps": trainer.global_step,
             "date": date.today().isoformat(),
             "machine": platform.machine(),
@@ -75,3 +77,22 @@ def make_card(
         },
         figures={f"held-out heaps, {module.resolution}": metrics},
     )
+
+
+def _beginning(config: TrainConfig) -> dict[str, Any]:
+    """What the weights that training began with were trained on."""
+    path = Path(config.weights)
+    # A run that is resumed does not need them any more.
+    if not config.weights or not path.is_file():
+        return {}
+    card = read_card(path)
+    return {
+        "began with": {
+            "architecture": card.architecture,
+            "images used": card.data.get("images used"),
+            "seed": card.training.get("seed"),
+            "passes": card.training.get("passes"),
+            "optimizer steps": card.training.get("optimizer steps"),
+            "date": card.training.get("date"),
+        }
+    }

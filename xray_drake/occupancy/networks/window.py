@@ -92,8 +92,8 @@ def target_window(mask: np.ndarray, size: np.ndarray) -> Window:
 def _reach(long: float, short: float, seen: float) -> float:
     """How far a rectangle reaches from the middle of two points in it.
 
-    A corner is farthest if the points lie about the opposite one, on a side,
-    or, where they are too far apart for that, on two sides.
+    A corner is farthest if the points lie about the opposite one, on a side;
+    where they are too far apart for that, on two sides.
 
     Args:
         long: its longer side.
@@ -102,7 +102,12 @@ def _reach(long: float, short: float, seen: float) -> float:
     """
     if seen <= short:
         return float(np.hypot(long, short - seen / 2))
+    # The points lie on both long sides, ...
     apart = min(long, float(np.sqrt(seen**2 - short**2)))
-    on_two = np.hypot(long - apart / 2, short / 2)
-    on_one = np.hypot(long - seen / 2, short) if seen <= long else 0.0
-    return float(max(on_one, on_two))
+    reach = np.hypot(long - apart / 2, short / 2)
+    if seen <= long:
+        # ... or on one, ...
+        return float(max(reach, np.hypot(long - seen / 2, short)))
+    # ... or on both short ones.
+    apart = min(short, float(np.sqrt(seen**2 - long**2)))
+    return float(max(reach, np.hypot(long / 2, short - apart / 2)))
