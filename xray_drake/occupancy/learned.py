@@ -214,7 +214,7 @@ class LearnedInference:
 
 def default_weights() -> Path:
     """Returns the file of the weights that travel with the package."""
-    return models_dir() / "networks" / f"compact{_SUFFIX}"
+    return models_dir() / "networks" / f"windowed{_SUFFIX}"
 
 
 def load_inference(

@@ -218,6 +218,7 @@ class WindowedData(TrainingData):
 class WindowedTraining(GeometryTraining):
     """Trains ``WindowedNet.near``; the part for whole images stays."""
 
+    resolution = "targets that are seen, full resolution"
     unused = ("label_scale", "input_mean_images", "backbone")
 
     def __init__(
