@@ -268,17 +268,11 @@ def _try(net: nn.Module, card: NetworkCard) -> None:
     side = SIZE_STEP
     with torch.inference_mode():
         if card.input == "geometry":
-            parts: list[nn.Module] = [net]
-            if isinstance(net, WindowedNet):
-                parts = [net.whole, net.near]
-            for part in parts:
-                part(
-                    torch.zeros(1, len(FINE), side, side),
-                    torch.zeros(
-                        1, len(COARSE), side // QUARTER, side // QUARTER
-                    ),
-                    torch.zeros(1, len(SIZE_FEATURES)),
-                )
+            net(
+                torch.zeros(1, len(FINE), side, side),
+                torch.zeros(1, len(COARSE), side // QUARTER, side // QUARTER),
+                torch.zeros(1, len(SIZE_FEATURES)),
+            )
         else:
             net(torch.zeros(1, 3, side, side))
 

@@ -18,19 +18,16 @@ from xray_drake.training.prepare import PrepareConfig
 _OPTIMIZERS = ("adamw", "sgd")
 _LOSSES = ("robust", "mse")
 
+_GEOMETRY: Mapping[str, Any] = {
+    "input": "geometry",
+    "loss": "robust",
+    "label_scale": 1.0,
+    "backbone": "",
+}
+
 _FIXED: Mapping[str, Mapping[str, Any]] = {
-    "compact": {
-        "input": "geometry",
-        "loss": "robust",
-        "label_scale": 1.0,
-        "backbone": "",
-    },
-    "windowed": {
-        "input": "geometry",
-        "loss": "robust",
-        "label_scale": 1.0,
-        "backbone": "",
-    },
+    "compact": _GEOMETRY,
+    "windowed": _GEOMETRY,
     "fcn_resnet50": {
         "input": "augmented_depth",
         "loss": "mse",

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from xray_drake.training.config import TrainConfig, TrainingError
+from xray_drake.training.items import Item
 from xray_drake.training.prepare import Prepared, open_prepared
 
 Batch = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -59,11 +60,8 @@ class PreparedItems(Dataset[Batch]):
     def __getitem__(self, index: int) -> Batch:
         number, row = self._places[index].tolist()
         shard = self._shards[number]
-        item = shard.item(row)
         return (
-            torch.from_numpy(item.fine),
-            torch.from_numpy(np.array(item.coarse)),
-            torch.from_numpy(item.labels),
+            *item_tensors(shard.item(row)),
             torch.from_numpy(shard.sizes[row]),
             torch.tensor(bool(shard.real[row])),
         )
@@ -159,16 +157,23 @@ class TrainingData(lightning.LightningDataModule):
         sampler = PassSampler(
             self.num_train, config.items_per_epoch, config.seed
         )
-        if self.trainer is not None:
-            # The trainer tells the sampler its epoch only after it has begun
-            # to draw the first one; on resume that is not epoch 0.
-            progress = self.trainer.fit_loop.epoch_progress.current
-            sampler.set_epoch(progress.processed)  # type: ignore[attr-defined]
+        sampler.set_epoch(self._epochs_done())
         return self._loader(self.train_items, sampler, drop_last=True)
 
     def val_dataloader(self) -> DataLoader:
         """Returns all items that are held out."""
         return self._loader(self.validation_items, None, drop_last=False)
+
+    def _epochs_done(self) -> int:
+        """Where a sampler begins.
+
+        The trainer tells it the epoch only after it has begun to draw the
+        first one; on resume that is not epoch 0.
+        """
+        if self.trainer is None:
+            return 0
+        progress = self.trainer.fit_loop.epoch_progress.current
+        return progress.processed  # type: ignore[attr-defined]
 
     def _loader(
         self,
@@ -203,16 +208,7 @@ class PreparedData(TrainingData):
         Raises:
             TrainingError: nothing to train on, or to validate on.
         """
-        shards = [open_prepared(file) for file in files]
-        train, validation = (
-            PreparedItems(
-                shards,
-                held_out=held_out,
-                targets=config.targets,
-                virtual=config.virtual,
-            )
-            for held_out in (False, True)
-        )
+        train, validation = open_items(files, config)
         super().__init__(
             train,
             validation,
@@ -220,6 +216,37 @@ class PreparedData(TrainingData):
             num_images=train.num_real + validation.num_real,
             workers=workers,
         )
+
+
+def open_items(
+    files: Sequence[Path], config: TrainConfig
+) -> tuple[PreparedItems, PreparedItems]:
+    """Opens prepared files; returns items to train on and those held out.
+
+    Args:
+        files: of :func:`xray_drake.training.prepare.prepare`.
+        config: chooses items.
+    """
+    shards = [open_prepared(file) for file in files]
+    train, validation = (
+        PreparedItems(
+            shards,
+            held_out=held_out,
+            targets=config.targets,
+            virtual=config.virtual,
+        )
+        for held_out in (False, True)
+    )
+    return train, validation
+
+
+def item_tensors(item: Item) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns fine and coarse images and labels, as :data:`Batch` has them."""
+    return (
+        torch.from_numpy(item.fine),
+        torch.from_numpy(np.array(item.coarse)),
+        torch.from_numpy(item.labels),
+    )
 
 
 def length(items: Dataset[Any]) -> int:

@@ -99,12 +99,7 @@ class GeometryTraining(OccupancyTraining):
     """Trains networks of geometry and size; logs PROTOCOL.md's metrics."""
 
     resolution = "full resolution"
-    unused: tuple[str, ...] = (
-        "label_scale",
-        "input_mean_images",
-        "backbone",
-        "freeze_norm",
-    )
+    unused: tuple[str, ...] = ("label_scale", "input_mean_images", "backbone")
 
     def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
         """Keeps what it is given.
@@ -172,6 +167,8 @@ class GeometryTraining(OccupancyTraining):
 
 class CompactTraining(GeometryTraining):
     """Trains a network on whole images."""
+
+    unused = (*GeometryTraining.unused, "freeze_norm")
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         """Returns the loss of one batch, mirrored at random; of shape ()."""

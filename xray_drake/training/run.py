@@ -116,7 +116,7 @@ def train(
     return card
 
 
-def _make_compact(
+def _make_geometry(
     net: nn.Module,
     datasets: Sequence[Path],
     config: TrainConfig,
@@ -124,38 +124,12 @@ def _make_compact(
     prepared: Progress,
 ) -> tuple[OccupancyTraining, TrainingData]:
     """Prepares the items of the datasets, and trains on those."""
-    files = _prepared(datasets, config, options, prepared)
-    data = PreparedData(files, config)
-    return CompactTraining(net, config, _steps(data, options)), data
-
-
-def _make_windowed(
-    net: nn.Module,
-    datasets: Sequence[Path],
-    config: TrainConfig,
-    options: RunOptions,
-    prepared: Progress,
-) -> tuple[OccupancyTraining, TrainingData]:
-    """Prepares the items of the datasets, and trains on windows of those."""
-    assert isinstance(net, WindowedNet)
-    if not config.weights:
+    if isinstance(net, WindowedNet) and not config.weights:
         raise TrainingError(
             "a windowed network needs weights of a compact one, which answers "
             "where nothing of the target is seen: train that first, and give "
             "its file by --weights"
         )
-    files = _prepared(datasets, config, options, prepared)
-    data = WindowedData(files, config)
-    return WindowedTraining(net, config, _steps(data, options)), data
-
-
-def _prepared(
-    datasets: Sequence[Path],
-    config: TrainConfig,
-    options: RunOptions,
-    prepared: Progress,
-) -> list[Path]:
-    """Prepares the items of the datasets; returns their files."""
     cache = options.cache or options.out / "cache"
     share = config.validation_share
     jobs = plan(
@@ -167,7 +141,12 @@ def _prepared(
     )
     for done in prepare(jobs, config.prepare, share, workers=options.workers):
         prepared(done, len(jobs))
-    return [path for _, path in jobs]
+    files = [path for _, path in jobs]
+    if isinstance(net, WindowedNet):
+        windows = WindowedData(files, config)
+        return WindowedTraining(net, config, _steps(windows, options)), windows
+    data = PreparedData(files, config)
+    return CompactTraining(net, config, _steps(data, options)), data
 
 
 def _make_paper(
@@ -192,8 +171,8 @@ def _make_paper(
 
 
 _MAKERS: Mapping[str, Callable[..., tuple[OccupancyTraining, TrainingData]]] = {
-    "compact": _make_compact,
-    "windowed": _make_windowed,
+    "compact": _make_geometry,
+    "windowed": _make_geometry,
     "fcn_resnet50": _make_paper,
 }
 """By architecture: what trains the network, and the data."""

@@ -17,10 +17,11 @@ from xray_drake.training.data import (
     PassSampler,
     PreparedItems,
     TrainingData,
+    item_tensors,
+    open_items,
 )
 from xray_drake.training.items import Item, pack, unpack
 from xray_drake.training.module import GeometryTraining
-from xray_drake.training.prepare import open_prepared
 
 WindowBatch = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 """A ``data.Batch`` of windows of one size, and (B, 2) int64: how many pixels
@@ -69,12 +70,7 @@ class WindowItems(Dataset[WindowBatch]):
 
     def __getitem__(self, index: int) -> WindowBatch:
         item = unpack(self._packed[index], self.sides[index])
-        return (
-            torch.from_numpy(item.fine),
-            torch.from_numpy(np.array(item.coarse)),
-            torch.from_numpy(item.labels),
-            *self._told[index],
-        )
+        return *item_tensors(item), *self._told[index]
 
 
 class WindowSampler(Sampler[list[int]]):
@@ -159,17 +155,8 @@ class WindowedData(TrainingData):
         Raises:
             TrainingError: nothing to train on, or to validate on.
         """
-        shards = [open_prepared(file) for file in files]
-        self._train, self._validation = (
-            WindowItems(
-                PreparedItems(
-                    shards,
-                    held_out=held_out,
-                    targets=config.targets,
-                    virtual=config.virtual,
-                )
-            )
-            for held_out in (False, True)
+        self._train, self._validation = map(
+            WindowItems, open_items(files, config)
         )
         super().__init__(
             self._train,
@@ -185,10 +172,7 @@ class WindowedData(TrainingData):
         sampler = WindowSampler(
             self._train.sides, self._config, rank=rank, devices=devices
         )
-        if self.trainer is not None:
-            # See ``TrainingData.train_dataloader``.
-            progress = self.trainer.fit_loop.epoch_progress.current
-            sampler.set_epoch(progress.processed)  # type: ignore[attr-defined]
+        sampler.set_epoch(self._epochs_done())
         return DataLoader(self._train, batch_sampler=sampler)
 
     def val_dataloader(self) -> DataLoader:
@@ -219,7 +203,6 @@ class WindowedTraining(GeometryTraining):
     """Trains ``WindowedNet.near``; the part for whole images stays."""
 
     resolution = "targets that are seen, full resolution"
-    unused = ("label_scale", "input_mean_images", "backbone")
 
     def __init__(
         self, net: WindowedNet, config: TrainConfig, steps: int
@@ -233,12 +216,11 @@ class WindowedTraining(GeometryTraining):
         """
         super().__init__(net, config, steps)
         net.whole.requires_grad_(False)
-        self._near = net.near
 
     def training_step(self, batch: WindowBatch, index: int) -> Tensor:
         """Returns the loss of one batch, turned at random; of shape ()."""
         if self.global_step >= self._config.freeze_norm * self._steps:
-            for module in self._near.modules():
+            for module in self.net.modules():
                 if isinstance(module, nn.BatchNorm2d):
                     module.eval()
         fine, coarse, labels, sizes, real, _ = batch

@@ -76,7 +76,7 @@ def target_window(mask: np.ndarray, size: np.ndarray) -> Window:
         )
     low = np.array([rows[0], columns[0]])
     high = np.array([rows[-1], columns[-1]]) + 1
-    short, long = np.sort(lengths_in_image(size, width)).tolist()
+    long, short = lengths_in_image(size, width).tolist()
     narrow, wide = np.sort(high - low).tolist()
     # Along the longer side of what is seen, and across.
     along = _reach(long, short, wide)

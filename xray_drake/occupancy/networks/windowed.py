@@ -16,9 +16,9 @@ class WindowedNet(nn.Module):
     A target of which nothing is seen can be anywhere: ``whole`` looks at all
     of the image. One that is partly seen is near what is seen of it
     (:func:`~.window.target_window`): ``near`` looks at that window alone, a
-    twentieth of the image. So it can be several times as wide and still answer
-    in less time; and it needs to be, since it has to tell a target's pose from
-    a few pixels and to draw it sharply.
+    fourteenth of the image on average. So it can be several times as wide and
+    still answer in less time; and it needs to be, since it has to tell a
+    target's pose from a few pixels and to draw it sharply.
     """
 
     def __init__(
