@@ -17,14 +17,18 @@ from tests.grasping.depth_scenes import (
 from tests.grasping.test_depth_free_space import depth_inside
 from tests.occupancy.scenes import CAMERAS
 from xray_drake.grasping.candidates import same_grasp
+from xray_drake.grasping.depth_judge import guess_weight
 from xray_drake.grasping.depth_planner import (
     DepthGraspPlanner,
     DepthPlannerConfig,
 )
-from xray_drake.grasping.judgement import GraspJudge
+from xray_drake.grasping.depth_surface import observe
+from xray_drake.grasping.judgement import GRAVITY, GraspJudge
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.messages import GraspKind
+from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.object_model import object_from_pieces
+from xray_drake.scene.packaging import PACKAGED, flattest_side
 
 CAMERA = CAMERAS["nominal"]
 FLAT = [0.042, 0.021, 0.005]
@@ -280,6 +284,37 @@ def test_a_heavier_guess_lowers_the_quality(planner):
     assert plan(heavy, plate).quality < plan(planner, plate).quality
     leaden = DepthGraspPlanner(config=DepthPlannerConfig(density=1e6))
     assert not plan(leaden, plate)
+
+
+def test_a_card_that_lies_high_is_taken_for_as_light(planner):
+    """Under a card in a heap are others, or nothing: not more of the card."""
+    card = [0.10, 0.09, 0.004]
+    low = plan(planner, block(card, at(0, 0, 0.012)))
+    high = plan(planner, block(card, at(0, 0, 0.080)))
+    assert low.kind is high.kind is GraspKind.SUCTION
+    assert high.quality > 0.9 * low.quality
+
+
+def test_high_in_a_heap_half_of_the_objects_weigh_more_than_is_guessed():
+    config = DepthPlannerConfig()
+    names = object_names(split="train")
+    drawn = np.random.default_rng(0).permutation(len(names))[:40]
+    ratios = []
+    for name in (names[i] for i in drawn):
+        for model in (make_object(name), make_object(name + PACKAGED)):
+            lying = np.asarray(model.visual.vertices) @ flattest_side(model).T
+            low, high = lying.min(axis=0), lying.max(axis=0)
+            mesh = model.visual.copy()
+            mesh.vertices = lying - [*(low + high)[:2] / 2, low[2] - 0.05]
+            surface = observe(*see(CAMERA, mesh), CAMERA, min_pixels=20)
+            assert surface is not None
+            guess = guess_weight(
+                surface, density=config.density, thickness=config.thickness
+            )
+            ratios.append(GRAVITY * model.mass / guess)
+    assert 0.8 < np.median(ratios) < 1.25
+    # None is guessed ten times too heavy.
+    assert np.min(ratios) > 0.15
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.2, 0.15), (-0.22, 0.0)])

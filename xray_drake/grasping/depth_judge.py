@@ -73,7 +73,7 @@ class DepthJudge:
         *,
         rules: GraspJudge,
         shapes: Mapping[GraspKind, ApproachShape],
-        density: float,
+        weight: float,
     ) -> None:
         """Prepares the image.
 
@@ -83,7 +83,7 @@ class DepthJudge:
             rules: knows gripper, floor and how execution is judged; it needs
                 no objects.
             shapes: of each kind of approach.
-            density: of the object as guessed, kg/m³.
+            weight: of the object as guessed, N; see :func:`guess_weight`.
         """
         self._surface = surface
         self._rules = rules
@@ -94,7 +94,7 @@ class DepthJudge:
         self._others = FreeSpace(others, camera, shapes, levels=(0.0,))
         points = surface.object_points
         self.center = points.mean(axis=0)
-        self.weight = GRAVITY * density * _volume(surface)
+        self.weight = weight
 
     def stop_jaw(
         self, X_WG: np.ndarray, width: np.ndarray, *, overtravel: float = 0.0
@@ -262,12 +262,21 @@ def _own_pixels(surface: DepthSurface) -> np.ndarray:
     return beside & (depth > cv2.erode(own, kernel) - _BORDER_STEP)
 
 
-def _volume(surface: DepthSurface) -> float:
-    """Guesses an object's volume, m³.
+def guess_weight(
+    surface: DepthSurface, *, density: float, thickness: float
+) -> float:
+    """Guesses what an object weighs by the area that it shows, N.
 
-    As if it stood on the floor, but no thicker than it is wide.
+    As if it stood on the floor, but no thicker than it is wide, nor than a
+    given thickness: what lies high in a heap lies on others.
+
+    Args:
+        surface: what is seen.
+        density: of the object, kg/m³.
+        thickness: that it has at most, m.
     """
     side = surface.depth[surface.mask] / surface.camera.intrinsics[0, 0]
     area = float((side**2).sum())
-    height = np.clip(surface.object_points[:, 2], 0.002, np.sqrt(area))
-    return area * float(height.mean())
+    most = min(float(np.sqrt(area)), thickness)
+    height = np.clip(surface.object_points[:, 2], min(0.002, most), most)
+    return GRAVITY * density * area * float(height.mean())

@@ -15,7 +15,11 @@ from xray_drake.grasping.depth_candidates import (
     jaw_poses,
 )
 from xray_drake.grasping.depth_jaw import Rims, find_rims, pair_rims
-from xray_drake.grasping.depth_judge import DepthJudge, DepthJudgement
+from xray_drake.grasping.depth_judge import (
+    DepthJudge,
+    DepthJudgement,
+    guess_weight,
+)
 from xray_drake.grasping.depth_suction import find_seals
 from xray_drake.grasping.depth_surface import DepthSurface, observe
 from xray_drake.grasping.gripper_geometry import GripperParameters
@@ -31,8 +35,11 @@ class DepthPlannerConfig:
 
     # Readings of the object that there must be.
     min_pixels: int = 20
-    # Density that an object's weight is guessed by, kg/m³.
+    # An object's weight is guessed by this density, kg/m³, …
     density: float = 500.0
+    # … and by at most this thickness, m. Of training objects high in a heap,
+    # plain and packaged alike in number, half weigh more than is guessed.
+    thickness: float = 0.015
     # Least distance of the pads when closed, m.
     min_width: float = 0.002
     # Free space that must be left beside the widest object, m.
@@ -194,7 +201,11 @@ class DepthGraspPlanner:
             rims,
             rules=self._rules,
             shapes=self._shapes,
-            density=self.config.density,
+            weight=guess_weight(
+                surface,
+                density=self.config.density,
+                thickness=self.config.thickness,
+            ),
         )
         seen = SeenObject(judge.center, camera)
         found = [
