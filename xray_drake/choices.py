@@ -26,7 +26,11 @@ POLICIES = (
 
 DETECTORS = ("ground_truth", "hsv")
 SEGMENTERS = ("ground_truth", "depth")
-OCCUPANCIES = ("learned", "posterior", "exact")
+OCCUPANCIES = ("learned", "posterior", "exact", "expected")
+
+WITHOUT_NETWORK = ("exact", "expected")
+"""Those of the occupancies that need no weights."""
+
 GRASPS = ("models", "depth")
 EXECUTIONS = ("quasi_static", "contact")
 

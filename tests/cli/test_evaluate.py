@@ -174,6 +174,15 @@ def test_exact_inference_and_a_network(
     assert modal["overall"]["target_mass"]["value"] == 1.0
 
 
+def test_the_label_guessed_without_a_network(folder: Path) -> None:
+    result = _run(folder, "--expected", "--no-exact")
+    assert result.exit_code == 0, result.output
+    rows = _rows(result.stdout)
+    assert {name for _, name in rows} == {"expected"}
+    both = _rows(_run(folder, "--expected", "--images", 1).stdout)
+    assert {name for _, name in both} == {"expected", "exact"}
+
+
 def test_what_inference_is_told_wrongly(
     folder: Path, networks: _Networks
 ) -> None:

@@ -12,6 +12,7 @@ from xray_drake.messages import (
     TargetMask,
 )
 from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.expected_label import ExpectedLabel
 from xray_drake.occupancy.resting_inference import RestingInference
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.targets import target_model
@@ -249,3 +250,12 @@ def test_a_tall_target_may_rest_on_any_face() -> None:
     scenario.perception.exact.poses = "flat"
     flat = module._inference(scenario, target_model("cube"))
     assert isinstance(flat, ExactInference)
+
+
+def test_the_label_is_guessed_without_a_network() -> None:
+    scenario = Scenario()
+    scenario.perception.occupancy = "expected"
+    scenario.perception.weights = "nowhere.safetensors"
+    check_scenario(scenario)
+    inference = module._inference(scenario, target_model("box_2to1"))
+    assert isinstance(inference, ExpectedLabel)

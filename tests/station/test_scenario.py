@@ -71,6 +71,8 @@ def test_table_3_is_as_the_protocol_says() -> None:
     assert table3.gripper.execution == "contact"
     assert table3.horizon == 10
     assert table3.policy.target_first
+    # Weak grasps are tried before strong ones on what hides less.
+    assert 0 < table3.policy.min_grasp_quality < 0.1
     table3.scene.target = "domino"
     check_scenario(table3)
 
@@ -222,6 +224,10 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
         ),
         ("perception: {segmenter: eye}", ["perception.segmenter", "depth"]),
         ("perception: {occupancy: eye}", ["perception.occupancy", "exact"]),
+        (
+            "perception: {occupancy: expected, exact: {poses: resting}}",
+            ["perception.exact.poses is resting", "occupancy: exact"],
+        ),
         ("gripper: {grasps: eye}", ["gripper.grasps", "models, depth"]),
         ("gripper: {execution: eye}", ["gripper.execution", "quasi_static"]),
         ("gripper: {execution: eye}", ["gripper.execution", "contact"]),

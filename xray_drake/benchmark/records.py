@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from xray_drake.benchmark.variants import Variant
+from xray_drake.choices import WITHOUT_NETWORK
 from xray_drake.station.scenario import (
     PerceptionConfig,
     PolicyConfig,
@@ -172,9 +173,9 @@ def _heaps_alone(scenario: Scenario) -> str:
 def _settings(scenario: Scenario, variant: Variant) -> str:
     """Returns the settings of policy and perception that a variant uses."""
     defaults, perception = Scenario(), scenario.perception
-    if variant.occupancy != "exact":
+    if variant.occupancy not in WITHOUT_NETWORK:
         perception = replace(perception, exact=defaults.perception.exact)
-    if variant.occupancy in ("", "exact"):
+    if variant.occupancy in ("", *WITHOUT_NETWORK):
         perception = replace(perception, weights=defaults.perception.weights)
     return shared_scenario(
         replace(defaults, policy=scenario.policy, perception=perception)

@@ -19,6 +19,7 @@ from rich.progress import (
 )
 
 from xray_drake import __version__
+from xray_drake.choices import WITHOUT_NETWORK
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.options import Dataset, OfSplit, OfTargets
 
@@ -32,7 +33,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-_EXACT = "exact"
 _PICTURES = (".png", ".pdf", ".svg")
 
 
@@ -46,6 +46,12 @@ def occupancy(
     exact: Annotated[
         bool, typer.Option("--exact/--no-exact", help="Exact inference, too.")
     ] = True,
+    expected: Annotated[
+        bool,
+        typer.Option(
+            "--expected", help="The label guessed without a network, too."
+        ),
+    ] = False,
     unscaled: Annotated[
         bool,
         typer.Option(
@@ -118,7 +124,11 @@ def occupancy(
     with errors_as_lines():
         _check_outputs(json, figure)
         predictors = _predictors(
-            weights or [], exact=exact, unscaled=unscaled, posterior=posterior
+            weights or [],
+            exact=exact,
+            expected=expected,
+            unscaled=unscaled,
+            posterior=posterior,
         )
 
         from xray_drake.dataset.augmentation import DepthNoise
@@ -213,25 +223,31 @@ def _check_outputs(json: Path | None, figure: Path | None) -> None:
 
 
 def _predictors(
-    weights: Sequence[Path], *, exact: bool, unscaled: bool, posterior: bool
+    weights: Sequence[Path],
+    *,
+    exact: bool,
+    expected: bool,
+    unscaled: bool,
+    posterior: bool,
 ) -> dict[str, "Predictor"]:
-    """Returns networks, then exact inference, by the names of their rows.
+    """Returns networks, then what needs none, by the names of their rows.
 
     Raises:
         ValueError: there would be none, or the same file is given twice.
     """
     from xray_drake.training.predictors import (
         exact_predictor,
+        expected_predictor,
         learned_predictor,
     )
 
-    if not weights and not exact:
+    if not weights and not exact and not expected:
         raise ValueError(
             "nothing to evaluate: give --weights, or leave out --no-exact"
         )
     if len(set(weights)) < len(weights):
         raise ValueError("the same --weights are given twice")
-    stems = [_EXACT, *(path.stem for path in weights)]
+    stems = [*WITHOUT_NETWORK, *(path.stem for path in weights)]
     named = {
         path.stem if stems.count(path.stem) == 1 else str(path): path
         for path in weights
@@ -247,7 +263,9 @@ def _predictors(
             f"{name}, posterior": learned_predictor(path, output="posterior")
             for name, path in named.items()
         }
-    return found | ({_EXACT: exact_predictor()} if exact else {})
+    if expected:
+        found["expected"] = expected_predictor()
+    return found | ({"exact": exact_predictor()} if exact else {})
 
 
 def _draw(total: int, images: int | None, seed: int) -> list[int]:

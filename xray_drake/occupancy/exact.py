@@ -98,7 +98,7 @@ class ExactInference(PoseCounting):
         return count_seen(
             self._target,
             self._seen_angles,
-            heights < self._target.top,
+            (heights < self._target.top) | mask,
             mask,
             camera,
             self._floor.half_planes(self.config.floor_tolerance),

@@ -6,6 +6,30 @@ POSES = ("flat", "resting")
 
 
 @dataclass
+class ExpectedLabelConfig:
+    """Numbers of ``ExpectedLabel``, chosen on validation objects."""
+
+    # A pose shows the same as another where the two modal masks differ by no
+    # more than this share of the observed one and this number of pixels. (The
+    # label asks for an IoU above 0.9.)
+    tolerance: float = 0.09
+    pixels: float = 0.5
+    # The target's true pose differs from what is observed about as little as
+    # the best one; less probable by e with each further difference of this
+    # share of the mask and ``pixels``.
+    spread: float = 0.03
+    # If more poses than this show the same, some of the lattices that they
+    # are on stand for all.
+    most_poses: int = 3000
+    # What a pixel costs that is said to be covered, where one that is rightly
+    # said so counts 1.
+    cost: float = 0.8
+    # Of a hidden target: maximum of the sum over all poses, where that over
+    # poses 8 pixels apart, which is less even, is 1.
+    peak: float = 0.85
+
+
+@dataclass
 class ExactInferenceConfig:
     """Numbers of exact inference."""
 
@@ -50,3 +74,5 @@ class ExactInferenceConfig:
     # A surface lower than this (and than half the target's thickness) is the
     # floor, m: where it shows, the target is not.
     floor_height: float = 0.002
+    # Numbers of "expected", which guesses the paper's label.
+    label: ExpectedLabelConfig = field(default_factory=ExpectedLabelConfig)

@@ -20,7 +20,10 @@ class PoseCounting(ABC):
 
     Attributes:
         config: the numbers.
+        method: what distributions are said to be made by.
     """
+
+    method = "exact"
 
     def __init__(
         self,
@@ -81,11 +84,25 @@ class PoseCounting(ABC):
             total = self._count_hidden(heights, camera)
         low = min(self.config.floor_height, self._lowest / 2)
         total[(heights < low) & (heights > -np.inf) & ~mask] = 0
+        return self._scaled(total, mask)
+
+    def _scaled(
+        self, total: np.ndarray, mask: np.ndarray
+    ) -> OccupancyDistribution:
+        """Divides a sum by its maximum.
+
+        Args:
+            total: (H, W) float32; changed.
+            mask: (H, W) bool, where the target is seen.
+        """
         largest = total.max()
         if largest > 0:
             total /= largest
+        return self._distribution(total)
+
+    def _distribution(self, data: np.ndarray) -> OccupancyDistribution:
         return OccupancyDistribution(
-            data=total, support_threshold=0.0, method="exact"
+            data=data, support_threshold=0.0, method=self.method
         )
 
     @abstractmethod

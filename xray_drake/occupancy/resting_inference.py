@@ -16,7 +16,8 @@ from xray_drake.occupancy.blocks import Blocks
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.floor_grid import Floor
 from xray_drake.occupancy.pose_counting import PoseCounting
-from xray_drake.occupancy.seen import AcceptanceRule, pose_range
+from xray_drake.occupancy.pose_search import pose_range
+from xray_drake.occupancy.seen import AcceptanceRule
 from xray_drake.occupancy.standing import StandingTarget
 from xray_drake.occupancy.standing_kernels import (
     Drawing,

@@ -9,6 +9,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from xray_drake.grasping.depth_planner import DepthGraspPlanner
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.occupancy.exact_model import exact_model
+from xray_drake.occupancy.expected_label import ExpectedLabel
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
 from xray_drake.policy.choice_system import ChoicePolicy
@@ -317,6 +318,8 @@ def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
     perception = scenario.perception
     if perception.occupancy == "exact":
         return exact_model(target, perception.exact)
+    if perception.occupancy == "expected":
+        return ExpectedLabel(target, perception.exact)
     return load_inference(
         weights_path(perception),
         target_size=target.extents,

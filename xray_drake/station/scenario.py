@@ -28,6 +28,7 @@ from xray_drake.choices import (
     SEGMENTERS,
     TALL_TARGETS,
     TARGET_NAMES,
+    WITHOUT_NETWORK,
 )
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
@@ -115,12 +116,13 @@ class PerceptionConfig:
     # The depth image is as a real sensor gives it.
     noise: bool = False
     # Infers the occupancy distribution: "learned" by a network; "posterior",
-    # by a network too, but as probable as heaps have taught it; or "exact".
+    # by a network too, but as probable as heaps have taught it; "exact", by all
+    # poses that explain the image; or "expected", by a guess of the label.
     occupancy: str = "learned"
     # File of a network's weights, or a folder of networks of one box each; by
     # default the one that travels with the package.
     weights: str = ""
-    # Settings of "exact".
+    # Settings of "exact" and "expected".
     exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
     # Settings of "hsv".
     hsv: HsvTargetConfig = field(default_factory=HsvTargetConfig)
@@ -425,6 +427,16 @@ def check_scenario(
             "models: of what is found in depth no model is known; choose "
             "gripper.grasps: depth"
         )
+    if (
+        scenario.perception.occupancy == "expected"
+        and scenario.perception.exact.poses != "flat"
+    ):
+        raise ScenarioError(
+            f"{source}: perception.exact.poses is "
+            f"{scenario.perception.exact.poses}, but perception.occupancy: "
+            "expected takes the target to lie flat; choose poses: flat, or "
+            "occupancy: exact"
+        )
     if searched:
         _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)
@@ -520,7 +532,7 @@ _StrictLoader.add_multi_constructor("!", _construct_tagged)
 def _check_weights(
     perception: PerceptionConfig, camera: CameraConfig, source: str
 ) -> None:
-    if perception.occupancy == "exact":
+    if perception.occupancy in WITHOUT_NETWORK:
         return
     if camera.width % SIZE_STEP or camera.height % SIZE_STEP:
         raise ScenarioError(

@@ -11,6 +11,7 @@ from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
 from xray_drake.occupancy.exact_model import exact_model
+from xray_drake.occupancy.expected_label import ExpectedLabel
 from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
 
@@ -31,6 +32,19 @@ def exact_predictor() -> Predictor:
     def inference(name: str) -> "OccupancyModel":
         poses = "resting" if name in TALL_TARGETS else "flat"
         return exact_model(target_model(name), ExactInferenceConfig(poses))
+
+    return lambda sample: _infer(inference(sample.target_name), sample)
+
+
+def expected_predictor() -> Predictor:
+    """Returns guesses of the label without a network; the target lies flat.
+
+    A sample of a target that is none of the package's is a ``ValueError``.
+    """
+
+    @cache
+    def inference(name: str) -> "OccupancyModel":
+        return ExpectedLabel(target_model(name))
 
     return lambda sample: _infer(inference(sample.target_name), sample)
 

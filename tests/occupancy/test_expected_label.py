@@ -1,0 +1,251 @@
+"""The guess of the label: against brute force, against labels, and its laws."""
+
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.occupancy.brute_force import render
+from tests.occupancy.scenes import CAMERAS, cover, lying, occluders
+from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.exact_config import (
+    ExactInferenceConfig,
+    ExpectedLabelConfig,
+)
+from xray_drake.occupancy.expected_label import ExpectedLabel, expected_label
+from xray_drake.occupancy.label import occupancy_label
+from xray_drake.occupancy.label_mixture import LEVELS
+from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
+from xray_drake.occupancy.pose_search import PoseSearch
+from xray_drake.scene.targets import target_model
+
+NOTHING = np.zeros((384, 512), dtype=bool)
+
+
+class Scene:
+    """A flat target and what lies on it, or hides all of it."""
+
+    def __init__(
+        self, name: str, camera: PinholeCamera, seed: int, *, hidden: bool
+    ) -> None:
+        self.target, self.camera = target_model(name), camera
+        rng = np.random.default_rng(seed)
+        place = rng.uniform([-0.12, -0.08], [0.12, 0.08])
+        angle = rng.uniform(0, 2 * np.pi)
+        mesh = lying(self.target.visual, *place, angle)
+        height = self.target.extents[2] + 0.002
+        others = occluders(rng, 2, place, 0.025, height)
+        if hidden:
+            others.append(cover(self.target.visual, *place, angle))
+        alone, label = render(camera, [mesh])
+        without, _ = render(camera, others)
+        self.depth, seen = render(camera, [mesh, *others])
+        self.mask = seen == 0
+        self.amodal = label == 0
+        self.label = occupancy_label(
+            np.where(self.amodal, alone, 0.0),
+            without,
+            camera,
+            np.array([*place, self.target.extents[2] / 2]),
+        ).distribution
+
+    def counts(self, inference: ExactInference) -> PixelCounts:
+        answer = inference.infer(self.depth, self.mask, self.camera)
+        return pixel_counts(self.label, answer.data)
+
+
+def reference(
+    search: PoseSearch,
+    mask: np.ndarray,
+    would_show: np.ndarray,
+    turn: int,
+    config: ExpectedLabelConfig,
+) -> list[tuple[np.ndarray, float]]:
+    """Returns the labels that the image may have, pose by pose."""
+    size, side = int(mask.sum()), search.silhouettes.shape[1]
+    margin = side + 2
+    canvas = np.pad(mask, margin)
+    show = np.pad(would_show, margin, constant_values=True)
+    differing = np.full(search.common.shape, np.inf)
+    for pose in np.ndindex(*search.common.shape):
+        if search.common[pose] <= 0:
+            continue
+        k, i, j = pose
+        top = search.top + i - search.reach + margin
+        left = search.left + j - search.reach + margin
+        box = slice(top, top + side), slice(left, left + side)
+        modal = np.zeros_like(canvas)
+        modal[box] = (search.silhouettes[k] > 0) & show[box]
+        differing[pose] = np.count_nonzero(modal ^ canvas)
+    excess = differing - differing.min()
+    alike = np.argwhere(excess <= config.tolerance * size + config.pixels)
+    lattices = defaultdict(list)
+    for k, i, j in alike:
+        key = k % turn, (search.top + i) % 8, (search.left + j) % 8
+        lattices[key].append((k, i, j))
+    labels = []
+    for poses in lattices.values():
+        total, weight = np.zeros(canvas.shape), 0.0
+        for k, i, j in poses:
+            top = search.top + i - search.reach + margin
+            left = search.left + j - search.reach + margin
+            total[top : top + side, left : left + side] += search.silhouettes[k]
+            weight += np.exp(
+                -excess[k, i, j] / (config.spread * size + config.pixels)
+            )
+        inner = total[margin:-margin, margin:-margin]
+        labels.append((inner / inner.max(), weight))
+    return labels
+
+
+@pytest.mark.parametrize(
+    ("name", "view", "seed"), [("box_2to1", "nominal", 1), ("flute", "low", 4)]
+)
+def test_it_agrees_with_brute_force(name: str, view: str, seed: int) -> None:
+    scene = Scene(name, CAMERAS[view], seed, hidden=False)
+    assert 0 < scene.mask.sum() < 0.8 * scene.amodal.sum()
+    inference = ExpectedLabel(
+        scene.target, ExactInferenceConfig(rotations=16, seen_step=0.02)
+    )
+    heights = np.where(scene.depth < 0.795, 1.0, 0.0)
+    would_show = (heights < 0.5) | scene.mask
+    search = PoseSearch(
+        inference._target,
+        inference.seen_angles,
+        would_show,
+        scene.mask,
+        scene.camera,
+        inference._floor.half_planes(0.002),
+    )
+    # Orientations that cover far too little are not looked at.
+    config = replace(ExpectedLabelConfig(), tolerance=0.15)
+    turn = max(1, len(inference.seen_angles) // 8)
+    answer = expected_label(search, scene.mask, turn, config)
+    labels = reference(search, scene.mask, would_show, turn, config)
+    assert len(labels) > 3
+    total = sum(weight for _, weight in labels)
+
+    def score(answer: np.ndarray) -> np.ndarray:
+        result = np.zeros(answer.shape)
+        for label, weight in labels:
+            value = np.floor(LEVELS * label + 0.5) / LEVELS
+            close = np.abs(value - answer) < 0.2 - 1e-9
+            positive = value > 0.1
+            gain = (positive & close) - config.cost * (
+                positive | (answer > 0.1)
+            )
+            result += weight / total * (gain + 1e-3 * close)
+        return result
+
+    best = np.max(
+        [score(np.full(answer.shape, p / LEVELS)) for p in range(LEVELS + 1)],
+        axis=0,
+    )
+    exact = np.rint(LEVELS * answer) / LEVELS
+    # Labels of a ten-thousandth are left out.
+    assert (score(exact) >= best - 1e-3).all()
+    assert answer.max() > 0.8
+
+
+def test_it_is_nearer_to_the_label_than_a_count_of_all_poses() -> None:
+    expected = counted = PixelCounts()
+    for name in ("box_1to1", "box_5to1"):
+        ours = ExpectedLabel(target_model(name))
+        exact = ExactInference(target_model(name))
+        for seed in range(6):
+            view = ("nominal", "tilted", "low")[seed % 3]
+            scene = Scene(name, CAMERAS[view], seed, hidden=False)
+            if scene.mask.any():
+                expected += scene.counts(ours)
+                counted += scene.counts(exact)
+    assert expected.iou > 0.8
+    assert expected.iou > counted.iou + 0.1
+    assert expected.balanced_accuracy > 0.93
+
+
+@pytest.mark.parametrize("name", ["box_2to1", "lid"])
+def test_it_is_near_the_label_of_a_hidden_target(name: str) -> None:
+    inference = ExpectedLabel(target_model(name))
+    total = PixelCounts()
+    for seed in range(3):
+        scene = Scene(name, CAMERAS["tilted"], seed, hidden=True)
+        assert not scene.mask.any()
+        total += scene.counts(inference)
+    assert total.iou > 0.85
+
+
+@pytest.mark.parametrize("name", ["box_1to1", "box_10to1", "flute"])
+def test_a_target_in_full_view_is_where_it_is_seen(name: str) -> None:
+    target, camera = target_model(name), CAMERAS["low"]
+    depth, label = render(camera, [lying(target.visual, 0.04, -0.03, 0.37)])
+    answer = ExpectedLabel(target).infer(depth, label == 0, camera)
+    assert answer.method == "expected"
+    there = answer.data > 0.1
+    common = np.count_nonzero(there & (label == 0))
+    assert common / np.count_nonzero(there | (label == 0)) >= 0.9
+
+
+def test_it_turns_as_scene_and_camera_do() -> None:
+    scene = Scene("box_2to1", CAMERAS["nominal"], 1, hidden=False)
+    inference = ExpectedLabel(scene.target)
+    upright = inference.infer(scene.depth, scene.mask, scene.camera).data
+    # Half a turn of a camera whose centre is the image's.
+    X_WC = np.array(scene.camera.X_WC)
+    X_WC[:3, :2] *= -1
+    turned = inference.infer(
+        scene.depth[::-1, ::-1],
+        scene.mask[::-1, ::-1],
+        PinholeCamera(512, 384, scene.camera.intrinsics, X_WC),
+    ).data[::-1, ::-1]
+    assert pixel_counts(upright, turned).iou > 0.95
+
+
+def test_of_many_poses_some_lattices_stand_for_all() -> None:
+    scene = Scene("box_5to1", CAMERAS["nominal"], 3, hidden=False)
+    all_of_them = ExpectedLabel(scene.target)
+    config = ExactInferenceConfig(label=ExpectedLabelConfig(most_poses=1))
+    one = ExpectedLabel(scene.target, config)
+    data = one.infer(scene.depth, scene.mask, scene.camera).data
+    # That of a single lattice: it has one maximum, and that is 1.
+    assert data.max() > 0.8
+    assert scene.counts(one).iou > 0.3
+    assert scene.counts(all_of_them).iou >= scene.counts(one).iou
+
+
+def test_a_blank_scene_and_a_hidden_target_are_empty() -> None:
+    depth, _ = render(CAMERAS["nominal"], [])
+    inference = ExpectedLabel(target_model("box_1to1"))
+    answer = inference.infer(depth, NOTHING, CAMERAS["nominal"])
+    assert not answer.data.any()
+
+
+def test_a_mask_that_no_pose_meets_is_the_answer() -> None:
+    """On the bin's wall, say: there the target cannot lie flat."""
+    plate = trimesh.creation.box([0.1, 0.1, 0.02])
+    depth, _ = render(CAMERAS["nominal"], [plate])
+    mask = NOTHING.copy()
+    mask[2:4, 2:6] = True
+    inference = ExpectedLabel(target_model("box_1to1"))
+    answer = inference.infer(depth, mask, CAMERAS["nominal"])
+    assert np.isfinite(answer.data).all()
+    assert answer.data.min() >= 0
+    assert answer.data.max() <= 1
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pixels": 0.0},
+        {"spread": 0.0},
+        {"peak": -1.0},
+        {"most_poses": 0},
+        {"tolerance": -0.1},
+    ],
+)
+def test_wrong_numbers_are_named(wrong: dict[str, float]) -> None:
+    config = ExactInferenceConfig(label=replace(ExpectedLabelConfig(), **wrong))
+    with pytest.raises(ValueError, match=r"exact\.label needs positive"):
+        ExpectedLabel(target_model("box_1to1"), config)
