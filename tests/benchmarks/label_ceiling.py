@@ -12,6 +12,7 @@ as if each were the true one, and scores against the dataset's label
 - *mean*: their mean, the answer of least expected squared error;
 - *best*: for each pixel the answer within 0.2 of most of them, as the metrics
   ask, where all that can be known of the pose is known;
+- *guess*: what ``ExpectedLabel`` answers, from the image alone;
 - *network*, with ``--weights``: what that answers to the same images.
 
 The walk starts at the true pose and keeps the target's tilt, so that where
@@ -36,9 +37,11 @@ from xray_drake.dataset.reader import OccupancyDataset
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import VirtualTarget, make_target, target_depth
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.occupancy.expected_label import ExpectedLabel
 from xray_drake.occupancy.label import LabelConfig, occupancy_label
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.metrics import TOLERANCE, PixelCounts, pixel_counts
+from xray_drake.scene.targets import target_model
 from xray_drake.seeding import stream
 
 STEPS = (0.0005, 0.003, 0.015, 0.08)
@@ -128,6 +131,10 @@ def score(
         "mean": stack.mean(axis=0),
         "best": ANSWERS[within.argmax(axis=0)],
     }
+    guess = ExpectedLabel(target_model(sample.target_name))
+    answers["guess"] = guess.infer(
+        sample.depth, sample.target_modal, poses.camera
+    ).data
     if weights is not None:
         network = load_inference(weights, target_size=sample.target_size)
         answers["network"] = network.infer(

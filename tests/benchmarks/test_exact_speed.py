@@ -14,7 +14,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, lying, occluders
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.expected_label import ExpectedLabel
+from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 
 NAMES = ["box_2to1", "box_10to1", "lid", "flute"]
@@ -51,11 +54,11 @@ def test_hidden_in_a_full_bin(benchmark: BenchmarkFixture, name: str) -> None:
     assert result.support_size() > 90_000
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("share", ["much", "fragment"])
-def test_partly_seen(
-    benchmark: BenchmarkFixture, name: str, share: str
-) -> None:
+Seen = tuple[ObjectModel, np.ndarray, np.ndarray, PinholeCamera]
+
+
+def partly_seen(name: str, share: str) -> Seen:
+    """Returns a target, depth, the target's mask and the camera."""
     camera = CAMERAS["tilted"]
     target = target_model(name)
     mesh = lying(target.visual, 0.02, 0.01, 0.4)
@@ -68,6 +71,26 @@ def test_partly_seen(
     shift = 0.3 * length if share == "fragment" else 0.6 * length
     plate.apply_translation([shift * np.cos(0.4), shift * np.sin(0.4), 0.02])
     depth, label = render(camera, [mesh, plate, *others])
+    return target, depth, label == 0, camera
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("share", ["much", "fragment"])
+def test_partly_seen(
+    benchmark: BenchmarkFixture, name: str, share: str
+) -> None:
+    target, depth, mask, camera = partly_seen(name, share)
     inference = ExactInference(target)
-    result = benchmark(inference.infer, depth, label == 0, camera)
-    assert result.support_size() >= np.count_nonzero(label == 0)
+    result = benchmark(inference.infer, depth, mask, camera)
+    assert result.support_size() >= np.count_nonzero(mask)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("share", ["much", "fragment"])
+def test_expected_label(
+    benchmark: BenchmarkFixture, name: str, share: str
+) -> None:
+    target, depth, mask, camera = partly_seen(name, share)
+    inference = ExpectedLabel(target)
+    result = benchmark(inference.infer, depth, mask, camera)
+    assert result.data.max() > 0.8
