@@ -15,6 +15,7 @@ from xray_drake.occupancy.label_config import LabelConfig
 from xray_drake.occupancy.label_mixture import best_answer, label_histogram
 from xray_drake.occupancy.pose_search import PoseSearch
 from xray_drake.scene.object_model import ObjectModel
+from xray_drake.seeding import stream
 
 _COVERS = 0.8
 """Orientations none of whose poses covers this share of what the best one
@@ -187,7 +188,7 @@ def _some(lattice: np.ndarray, most: int) -> np.ndarray:
     sizes = np.bincount(lattice)
     if len(lattice) <= most:
         return lattice
-    drawn = np.random.default_rng(0).permutation(len(sizes))
+    drawn = stream(0, "lattices").permutation(len(sizes))
     enough = 1 + int(np.searchsorted(np.cumsum(sizes[drawn]), most))
     number = np.full(len(sizes), -1)
     number[drawn[:enough]] = np.arange(min(enough, len(sizes)))
