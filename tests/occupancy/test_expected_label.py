@@ -123,7 +123,7 @@ def test_it_agrees_with_brute_force(name: str, view: str, seed: int) -> None:
     # Orientations that cover far too little are not looked at.
     config = replace(ExpectedLabelConfig(), tolerance=0.15)
     turn = max(1, len(inference.seen_angles) // 8)
-    answer = expected_label(search, scene.mask, turn, config)
+    answer = expected_label(search, turn, config)
     labels = reference(search, scene.mask, would_show, turn, config)
     assert len(labels) > 3
     total = sum(weight for _, weight in labels)

@@ -8,6 +8,7 @@ from xray_drake.occupancy.flat_target import FlatTarget
 from xray_drake.occupancy.floor_grid import Floor
 from xray_drake.occupancy.hidden import HiddenSearch
 from xray_drake.occupancy.pose_counting import PoseCounting
+from xray_drake.occupancy.pose_search import PoseSearch
 from xray_drake.occupancy.seen import count_seen
 from xray_drake.scene.object_model import ObjectModel
 
@@ -95,14 +96,19 @@ class ExactInference(PoseCounting):
     def _count_seen(
         self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        return count_seen(
+        return count_seen(self._search(heights, mask, camera), self.config)
+
+    def _search(
+        self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> PoseSearch:
+        """Compares all poses with a mask; see ``_count_seen``."""
+        return PoseSearch(
             self._target,
             self._seen_angles,
             (heights < self._target.top) | mask,
             mask,
             camera,
             self._floor.half_planes(self.config.floor_tolerance),
-            self.config,
         )
 
     def _count_hidden(

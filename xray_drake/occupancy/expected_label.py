@@ -71,15 +71,8 @@ class ExpectedLabel(ExactInference):
     def _count_seen(
         self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        search = PoseSearch(
-            self._target,
-            self._seen_angles,
-            (heights < self._target.top) | mask,
-            mask,
-            camera,
-            self._floor.half_planes(self.config.floor_tolerance),
-        )
-        return expected_label(search, mask, self._turn, self.config.label)
+        search = self._search(heights, mask, camera)
+        return expected_label(search, self._turn, self.config.label)
 
     @property
     def _turn(self) -> int:
@@ -100,22 +93,19 @@ class ExpectedLabel(ExactInference):
 
 
 def expected_label(
-    search: PoseSearch,
-    mask: np.ndarray,
-    turn: int,
-    config: ExpectedLabelConfig,
+    search: PoseSearch, turn: int, config: ExpectedLabelConfig
 ) -> np.ndarray:
     """Guesses the label of a target that is seen; see :class:`ExpectedLabel`.
 
     Args:
         search: what its poses would show.
-        mask: (H, W) bool, its observed modal mask, not blank.
         turn: orientations of the search between two of a label's.
         config: the numbers.
 
     Returns:
         (H, W) float32 in [0, 1]; the mask itself where no pose meets it.
     """
+    mask = search.mask
     poses, excess = _alike(search, int(np.count_nonzero(mask)), config)
     if not len(poses):
         return mask.astype(np.float32)

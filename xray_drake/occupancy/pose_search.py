@@ -25,6 +25,11 @@ class PoseSearch:
     seen at a pixel's centre, and that could cover two thirds of the mask.
 
     Attributes:
+        target: as given, and so are the next four.
+        angles: see there.
+        would_show: see there.
+        mask: see there.
+        camera: see there.
         window: of the image; all silhouettes are inside.
         left: column of the first candidate in the image, pixels.
         top: row of the first candidate.
@@ -59,6 +64,8 @@ class PoseSearch:
             half_planes: (m, 3) rows a, b, c: candidates keep to
                 a·x + b·y ≤ c on the floor.
         """
+        self.target, self.angles = target, angles
+        self.would_show, self.mask, self.camera = would_show, mask, camera
         rows, columns = mask.sum(axis=1), mask.sum(axis=0)
         middle = np.array([[_quantile(columns, 0.5), _quantile(rows, 0.5)]])
         outlines = np.concatenate(

@@ -25,35 +25,18 @@ _EXACT_WORK = 1_000_000
 near, none decides alone."""
 
 
-def count_seen(
-    target: FlatTarget,
-    angles: np.ndarray,
-    would_show: np.ndarray,
-    mask: np.ndarray,
-    camera: PinholeCamera,
-    half_planes: np.ndarray,
-    config: ExactInferenceConfig,
-) -> np.ndarray:
+def count_seen(search: PoseSearch, config: ExactInferenceConfig) -> np.ndarray:
     """Counts the accepted poses of a target that is seen, per pixel.
 
-    Candidates are those of :class:`~.pose_search.PoseSearch`.
-
     Args:
-        target: the target.
-        angles: (k,) orientations about world z, rad.
-        would_show: (H, W) bool: the target would be seen here; true within the
-            mask.
-        mask: (H, W) bool, its observed modal mask, not blank.
-        camera: the camera.
-        half_planes: (m, 3) rows a, b, c: candidates keep to a·x + b·y ≤ c on
-            the floor.
+        search: what its poses would show.
         config: the rules of acceptance.
 
     Returns:
         (H, W) float32: by how many accepted poses a pixel is covered; the mask
         itself where no candidate meets it.
     """
-    search = PoseSearch(target, angles, would_show, mask, camera, half_planes)
+    target, mask, camera = search.target, search.mask, search.camera
     size = int(np.count_nonzero(mask))
     typical = float(search.silhouettes.sum(axis=(1, 2)).mean())
     most = search.common.amax(dim=(1, 2))
@@ -72,11 +55,14 @@ def count_seen(
         if work <= _EXACT_WORK:
             pixels = poses[:, [2, 1]].numpy() + [search.left, search.top]
             spans = _spans(
-                target, angles[chosen[poses[:, 0]].numpy()], pixels, camera
+                target,
+                search.angles[chosen[poses[:, 0]].numpy()],
+                pixels,
+                camera,
             )
             accepted = rule.accepted(
                 torch.from_numpy(spans.sums(mask)),
-                torch.from_numpy(spans.sums(would_show)),
+                torch.from_numpy(spans.sums(search.would_show)),
             )
             return spans.total(accepted.numpy())
 
