@@ -17,6 +17,7 @@ from xray_drake.dataset.virtual import (
     make_target,
     target_depth,
     virtual_sample,
+    virtual_target,
 )
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.label import occupancy_label
@@ -237,10 +238,16 @@ def pairs(make_sample: _MakeSample) -> list[tuple[Sample, Sample]]:
 
 
 def _target_of(made: Sample) -> VirtualTarget:
-    kind = made.target_name.split("_")[1]
-    target = make_target(kind, made.target_size)
+    target = virtual_target(made)
     assert target.name == made.target_name
     return target
+
+
+def test_a_target_of_the_package_is_no_virtual_one(
+    pairs: list[tuple[Sample, Sample]],
+) -> None:
+    with pytest.raises(ValueError, match="'box_2to1' is no virtual target"):
+        virtual_target(dataclasses.replace(pairs[0][0], target_name="box_2to1"))
 
 
 def test_virtual_samples_are_sound(pairs: list[tuple[Sample, Sample]]) -> None:
@@ -316,6 +323,21 @@ def test_some_are_hidden_and_their_mask_is_blank(
         )
     partly = [m for _, m in pairs if 0 < m.visible_fraction < 0.95]
     assert len(partly) > 5
+
+
+@pytest.mark.parametrize(
+    ("hidden", "least", "most"), [(0, 0, 0.1), (1, 0.4, 1)]
+)
+def test_one_may_ask_for_hidden_ones(
+    pairs: list[tuple[Sample, Sample]], hidden: float, least: float, most: float
+) -> None:
+    made = [
+        virtual_sample(sample, np.random.default_rng(seed), hidden=hidden)
+        for seed, (sample, _) in enumerate(pairs)
+    ]
+    blank = [not m.target_modal.any() for m in made if m is not None]
+    assert len(blank) > 30
+    assert least <= np.mean(blank) <= most
 
 
 def test_most_targets_are_placed_under_what_stands_in_the_bin(

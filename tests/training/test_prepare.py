@@ -330,6 +330,31 @@ def test_no_heap_is_trained_on_and_held_out(
     assert count[False] == sum(heap not in out for heap in heaps)
 
 
+def test_what_is_learned_may_be_what_can_be_known(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    known = dataclasses.replace(EXACT, labels="expected")
+    changed = 0
+    for given, expected in zip(
+        _prepare(dataset, tmp_path),
+        _prepare(dataset, tmp_path, known),
+        strict=True,
+    ):
+        assert given != expected
+        ours, theirs = open_prepared(given), open_prepared(expected)
+        assert ours.targets == theirs.targets
+        for row, held_out in enumerate(theirs.held_out):
+            one, other = ours.item(row), theirs.item(row)
+            np.testing.assert_array_equal(one.fine, other.fine)
+            np.testing.assert_array_equal(one.labels[1], other.labels[1])
+            same = np.array_equal(one.labels[0], other.labels[0])
+            # A hidden target's label stays, too.
+            if held_out or not one.fine[1].any():
+                assert same
+            changed += not same
+    assert changed > 3
+
+
 def _items(
     sample: Sample, **change: Any
 ) -> list[tuple[dict[str, np.ndarray], np.ndarray]]:

@@ -70,6 +70,10 @@ def test_what_is_not_given_is_the_default(path: Path) -> None:
         ("options: 5", "int .*options"),
         ("passes: null", "None.*passes"),
         ("prepare: 3", "PrepareConfig"),
+        (
+            "prepare: {labels: known}",
+            "prepare.labels is 'known', not one of given, expected",
+        ),
         ("architecture: unet", "architecture is 'unet', not one of compact"),
         ("input: color", "input is 'color', not one of geometry"),
         ("optimizer: adam", "optimizer is 'adam', not one of adamw, sgd"),

@@ -42,7 +42,7 @@ _SHARES = {"box": 0.6, "disc": 0.25, "rod": 0.15}
 _UNDER_OBJECTS = 0.8
 """Share that is placed under what stands in the bin, not anywhere."""
 
-_HIDDEN = 0.4
+HIDDEN = 0.4
 """Share for which a place is sought where nothing of it is seen."""
 
 _MOST_VISIBLE = 0.95
@@ -119,6 +119,19 @@ def make_target(kind: str, size: np.ndarray) -> VirtualTarget:
     return VirtualTarget(name, np.array(size, float), vertices, planes)
 
 
+def virtual_target(sample: Sample) -> VirtualTarget:
+    """Returns the target of a sample of :func:`virtual_sample`.
+
+    Raises:
+        ValueError: the sample's target is none of these.
+    """
+    name = sample.target_name
+    kind, _, _ = name.removeprefix(VIRTUAL_PREFIX).partition("_")
+    if not is_virtual(name):
+        raise ValueError(f"{name!r} is no virtual target")
+    return make_target(kind, sample.target_size)
+
+
 def target_depth(
     target: VirtualTarget, X_WT: np.ndarray, camera: PinholeCamera
 ) -> np.ndarray:
@@ -170,6 +183,7 @@ def virtual_sample(
     *,
     config: LabelConfig | None = None,
     size: np.ndarray | None = None,
+    hidden: float = HIDDEN,
 ) -> Sample | None:
     """Takes the target out of an image and puts another one there.
 
@@ -179,6 +193,7 @@ def virtual_sample(
         config: of the label.
         size: (3,) length, width, thickness of a box, m, that is the target;
             None draws one of any kind and size.
+        hidden: probability that a place is sought where nothing of it is seen.
 
     Returns:
         The sample with images, label, pose, size and name of the new target;
@@ -187,7 +202,7 @@ def virtual_sample(
     config = config or LabelConfig()
     camera, scene = sample.camera, sample.depth_without_target
     under = _under_objects(scene, camera, config)
-    most = 0.0 if rng.random() < _HIDDEN else _MOST_VISIBLE
+    most = 0.0 if rng.random() < hidden else _MOST_VISIBLE
     found = None
     for attempt in range(_TARGETS * _PLACES):
         if attempt % _PLACES == 0:

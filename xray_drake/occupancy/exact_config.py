@@ -24,6 +24,9 @@ class ExpectedLabelConfig:
     # What a pixel costs that is said to be covered, where one that is rightly
     # said so counts 1.
     cost: float = 0.8
+    # The answer is the best one if answers are off by about this. (A network
+    # that learns them is off by more: ``training.teacher``.)
+    slack: float = 0.005
     # Of a hidden target: maximum of the sum over all poses, where that over
     # poses 8 pixels apart, which is less even, is 1.
     peak: float = 0.85

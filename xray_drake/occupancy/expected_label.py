@@ -59,10 +59,11 @@ class ExpectedLabel(ExactInference):
         if (
             numbers.most_poses < 1
             or min(numbers.pixels, numbers.spread, numbers.peak) <= 0
+            or numbers.slack <= 0
             or numbers.tolerance < 0
         ):
             raise ValueError(
-                "exact.label needs positive pixels, spread, peak and "
+                "exact.label needs positive pixels, spread, slack, peak and "
                 f"most_poses, and no negative tolerance, not {numbers}"
             )
         # The label's candidates of a hidden target show no pixel.
@@ -135,7 +136,7 @@ def expected_label(
     )
     result = np.zeros(mask.shape, dtype=np.float32)
     result[low[0] : high[0], low[1] : high[1]] = best_answer(
-        histogram, cost=config.cost
+        histogram, cost=config.cost, slack=config.slack
     )
     return result
 

@@ -2,6 +2,7 @@
 
 import numba
 import numpy as np
+from scipy.special import ndtr
 
 from xray_drake.occupancy.metrics import POSITIVE, TOLERANCE
 
@@ -58,28 +59,34 @@ def label_histogram(
     return result
 
 
-def best_answer(histogram: np.ndarray, *, cost: float) -> np.ndarray:
+def best_answer(
+    histogram: np.ndarray, *, cost: float, slack: float
+) -> np.ndarray:
     """Answers for each pixel what the paper's metrics are expected to like.
 
     IoU is the number of pixels with a label above 0.1 and an answer within 0.2
     of it, over that of pixels where either is above 0.1. The answer makes the
-    expected first number minus ``cost`` times the second one greatest. (Where
-    ``cost`` is the IoU reached, that makes the ratio of the two greatest.)
+    expected first number minus ``cost`` times the second one greatest, if all
+    answers are a little off. (Where ``cost`` is the IoU reached, that makes the
+    ratio of the two greatest.)
 
     Args:
         histogram: (h, w, LEVELS + 1), see :func:`label_histogram`.
         cost: of a pixel in the union.
+        slack: standard deviation of answers that are off, above 0.
 
     Returns:
         (h, w) float32 in [0, 1].
     """
     values = np.arange(LEVELS + 1) / LEVELS
-    close = np.abs(values[:, None] - values) < TOLERANCE - 1e-9
-    positive = (values > POSITIVE)[:, None]
-    hits = histogram @ (close & positive).astype(np.float32)
-    union = np.where(
-        values > POSITIVE, 1.0, histogram @ positive.astype(np.float32)
+    difference = values[:, None] - values
+    close = ndtr((TOLERANCE - difference) / slack) - ndtr(
+        (-TOLERANCE - difference) / slack
     )
+    positive = (values > POSITIVE)[:, None].astype(float)
+    counted = ndtr((values - POSITIVE) / slack)
+    union = positive + (1 - positive) * counted
     # Where nothing else decides, most pixels are right.
-    score = hits - cost * union + 1e-3 * (histogram @ close.astype(np.float32))
+    gain = close * positive - cost * union + 1e-3 * close
+    score = histogram @ gain.astype(np.float32)
     return values[score.argmax(axis=-1)].astype(np.float32)

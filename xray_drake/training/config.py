@@ -13,7 +13,7 @@ from yaml import YAMLError
 from xray_drake.choices import BOX_TARGETS
 from xray_drake.occupancy.networks.weights import INPUTS
 from xray_drake.resources import models_dir
-from xray_drake.training.prepare import PrepareConfig
+from xray_drake.training.prepare import LABELS, PrepareConfig
 
 _OPTIMIZERS = ("adamw", "sgd")
 _LOSSES = ("robust", "mse")
@@ -205,6 +205,11 @@ def check_config(config: TrainConfig, path: str) -> None:
         raise TrainingError(
             f"{path}: validation_share is {config.validation_share}, not "
             "between 0 and 1"
+        )
+    if config.prepare.labels not in LABELS:
+        raise TrainingError(
+            f"{path}: prepare.labels is {config.prepare.labels!r}, not one of "
+            f"{', '.join(LABELS)}"
         )
     _check_virtual(config, path)
 

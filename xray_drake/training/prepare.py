@@ -26,7 +26,7 @@ from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.shards import ShardReader
-from xray_drake.dataset.virtual import is_virtual, virtual_sample
+from xray_drake.dataset.virtual import HIDDEN, is_virtual, virtual_sample
 from xray_drake.files import write_whole_file
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.networks.inputs import (
@@ -37,8 +37,11 @@ from xray_drake.seeding import stream
 from xray_drake.threads import limit_threads
 from xray_drake.training.disturbance import believed_camera
 from xray_drake.training.items import Item, make_item, pack, unpack
+from xray_drake.training.teacher import expected_occupancy
 
-_VERSION = 2
+_VERSION = 3
+
+LABELS = ("given", "expected")
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,13 @@ class PrepareConfig:
     # Virtual targets are boxes of this length, width and thickness, m; of any
     # kind and size if empty.
     virtual_size: list[float] = field(default_factory=list)
+    # Share of virtual targets for which a place is sought where nothing of
+    # them is seen. (A network for windows has no use for those.)
+    virtual_hidden: float = HIDDEN
+    # What is learned: "given", the dataset's labels, or "expected", what can be
+    # known of them from the image (``training.teacher``). Items that are held
+    # out keep those of the dataset.
+    labels: str = "given"
     # Share of items with the noise of a depth sensor.
     noisy: float = 0.3
     # Share of items whose camera is not quite where inference is told.
@@ -205,18 +215,23 @@ def prepare_shard(
         for index, key in enumerate(reader.keys):
             rng = stream(config.seed, f"prepare {key}")
             sample = reader.sample(index)
+            kept = is_held_out(key.heap_seed, validation_share)
             made = [
-                virtual_sample(sample, rng, size=box)
+                virtual_sample(
+                    sample, rng, size=box, hidden=config.virtual_hidden
+                )
                 for _ in range(config.virtual)
             ]
             for each in (sample, *made):
                 if each is None:
                     continue
-                item, size = sample_item(each, config, rng)
+                item, size = sample_item(
+                    each, config, rng, given=kept or config.labels == "given"
+                )
                 packed.append(pack(item))
                 sizes.append(size)
                 real.append(not is_virtual(each.target_name))
-                held_out.append(is_held_out(key.heap_seed, validation_share))
+                held_out.append(kept)
                 targets.append(each.target_name)
     file = io.BytesIO()
     np.savez(
@@ -258,14 +273,25 @@ def open_prepared(path: Path) -> Prepared:
 
 
 def sample_item(
-    sample: Sample, config: PrepareConfig, rng: np.random.Generator
+    sample: Sample,
+    config: PrepareConfig,
+    rng: np.random.Generator,
+    *,
+    given: bool = True,
 ) -> tuple[Item, np.ndarray]:
     """Returns a sample's item and (5,) features.
 
     The sensor's noise and the errors of calibration are drawn here.
+
+    Args:
+        sample: without them.
+        config: how they are drawn.
+        rng: draws them.
+        given: with the sample's own label; or with what can be known of it.
     """
     camera = sample.camera
     seen = labelled_images(sample)
+    occupancy = seen.occupancy if given else expected_occupancy(sample)
     if rng.random() < config.noisy:
         seen = config.noise(seen, rng)
     if rng.random() < config.mask_errors and np.count_nonzero(seen.modal) > 40:
@@ -276,7 +302,7 @@ def sample_item(
         camera = _miscalibrated(camera, config, rng)
     size = sample.target_size
     inputs = geometry_input(seen.depth, seen.modal, camera, float(size[2]))
-    item = make_item(inputs, seen.occupancy, seen.amodal)
+    item = make_item(inputs, occupancy, seen.amodal)
     return item, size_features(size, seen.modal, camera)
 
 
