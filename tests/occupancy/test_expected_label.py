@@ -3,6 +3,7 @@
 from collections import defaultdict
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -205,6 +206,27 @@ def test_it_turns_as_scene_and_camera_do() -> None:
         PinholeCamera(512, 384, scene.camera.intrinsics, X_WC),
     ).data[::-1, ::-1]
     assert pixel_counts(upright, turned).iou > 0.95
+
+
+@pytest.mark.parametrize("name", ["box_1to1", "box_5to1", "flute"])
+def test_what_a_camera_does_not_read_speaks_against_no_pose(name: str) -> None:
+    """Holes cost little; were they empty floor, few poses would be left."""
+    whole, holed = PixelCounts(), PixelCounts()
+    inference = ExpectedLabel(target_model(name))
+    for seed in range(4):
+        scene = Scene(name, CAMERAS["tilted"], seed, hidden=False)
+        if not scene.mask.any():
+            continue
+        whole += scene.counts(inference)
+        # Two of five pixels of the target, and all about its edges.
+        rng = np.random.default_rng(seed)
+        lost = rng.random(scene.depth.shape) < 0.4
+        lost[cv2.dilate(scene.mask.view(np.uint8), np.ones((9, 9))) == 0] = 0
+        depth = np.where(lost, 0.0, scene.depth)
+        answer = inference.infer(depth, scene.mask & ~lost, scene.camera)
+        holed += pixel_counts(scene.label, answer.data)
+    assert whole.positives > 0
+    assert holed.iou > whole.iou - 0.1
 
 
 def test_of_many_poses_some_lattices_stand_for_all() -> None:

@@ -105,11 +105,20 @@ class ExactInference(PoseCounting):
         return PoseSearch(
             self._target,
             self._seen_angles,
-            (heights < self._target.top) | mask,
+            self._would_show(heights, mask),
             mask,
             camera,
             self._floor.half_planes(self.config.floor_tolerance),
         )
+
+    def _would_show(self, heights: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """Returns the (H, W) pixels in which a target would be seen.
+
+        Args:
+            heights: (H, W) of the observed surface, m; −inf: no reading.
+            mask: (H, W) bool, where the target is seen.
+        """
+        return (heights < self._target.top) | mask
 
     def _count_hidden(
         self, heights: np.ndarray, camera: PinholeCamera

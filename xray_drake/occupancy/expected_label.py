@@ -36,6 +36,9 @@ class ExpectedLabel(ExactInference):
     probable as it is that the true pose is one of its own; and for each pixel
     the answer is what is close to most of these labels.
 
+    Where the camera has no reading, it does not see the target either: such a
+    pixel speaks neither for a pose nor against one.
+
     Of a hidden target so many lattices are possible that the sum over all
     poses, with a lower peak, stands for each.
     """
@@ -74,6 +77,9 @@ class ExpectedLabel(ExactInference):
     ) -> np.ndarray:
         search = self._search(heights, mask, camera)
         return expected_label(search, self._turn, self.config.label)
+
+    def _would_show(self, heights: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        return super()._would_show(heights, mask) & (heights > -np.inf) | mask
 
     @property
     def _turn(self) -> int:
