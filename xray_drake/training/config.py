@@ -98,6 +98,7 @@ class TrainConfig:
     backbone: str = ""
     # Share of the steps after which the normalisation's means and variances
     # stay ("windowed"): one batch has windows of one size, inference of any.
+    # Until then validation, which takes them, says less than the network can.
     freeze_norm: float = 0.6
     # Weight of the second answer's loss, the posterior; 0 does without.
     posterior_weight: float = 1.0
