@@ -56,20 +56,24 @@ def test_planes_and_rays_agree(
 
     cast = []
 
-    def by_rays(
-        mesh: trimesh.Trimesh, xy: np.ndarray, *, up: bool
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def heights(up: bool, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         cast.append(up)
         start = -1.0 if up else 1.0
         found = np.zeros(len(xy), bool)
-        heights = np.zeros(len(xy))
+        met = np.zeros(len(xy))
         hits, rays, _ = mesh.ray.intersects_location(
             np.column_stack([xy, np.full(len(xy), start)]),
             np.tile([0, 0, -np.sign(start)], (len(xy), 1)),
             multiple_hits=False,
         )
-        heights[rays], found[rays] = hits[:, 2], True
-        return heights, found
+        met[rays], found[rays] = hits[:, 2], True
+        return met, found
+
+    def by_rays(
+        mesh: trimesh.Trimesh, xy: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (low, above), (high, below) = heights(True, xy), heights(False, xy)
+        return low, high, above & below
 
     monkeypatch.setattr(columns, "_convex_heights", by_rays)
     slow = columns.measure_columns(mesh, canvas, _PITCH, origin)

@@ -11,7 +11,6 @@ says nothing about where heaps hide things: :func:`is_virtual`.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from xray_drake.dataset.sample import (
     FIRST_OBJECT_INSTANCE,
@@ -20,6 +19,7 @@ from xray_drake.dataset.sample import (
     depth_on_disk,
 )
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.convex import hull_planes
 from xray_drake.occupancy.label import occupancy_label
 from xray_drake.occupancy.label_config import LabelConfig
 
@@ -113,10 +113,11 @@ def make_target(kind: str, size: np.ndarray) -> VirtualTarget:
     else:
         raise ValueError(f"no kind of target is called {kind!r}")
     vertices = unit * size
-    planes = np.unique(ConvexHull(vertices).equations.round(9), axis=0)
     millimetres = "x".join(f"{1e3 * length:.0f}" for length in size)
     name = f"{VIRTUAL_PREFIX}{kind}_{millimetres}"
-    return VirtualTarget(name, np.array(size, float), vertices, planes)
+    return VirtualTarget(
+        name, np.array(size, float), vertices, hull_planes(vertices)
+    )
 
 
 def virtual_target(sample: Sample) -> VirtualTarget:
@@ -126,9 +127,9 @@ def virtual_target(sample: Sample) -> VirtualTarget:
         ValueError: the sample's target is none of these.
     """
     name = sample.target_name
-    kind, _, _ = name.removeprefix(VIRTUAL_PREFIX).partition("_")
     if not is_virtual(name):
         raise ValueError(f"{name!r} is no virtual target")
+    kind, _, _ = name.removeprefix(VIRTUAL_PREFIX).partition("_")
     return make_target(kind, sample.target_size)
 
 

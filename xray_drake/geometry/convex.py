@@ -3,6 +3,25 @@
 import numpy as np
 from scipy.spatial import ConvexHull
 
+_DIGITS = 9
+"""Planes of triangles that lie in one face differ less."""
+
+
+def hull_planes(vertices: np.ndarray) -> np.ndarray:
+    """Returns the planes of a convex hull's faces, each once.
+
+    Args:
+        vertices: (n, 3), m.
+
+    Returns:
+        (k, 4) rows a, b, c, d, with (a, b, c) of length 1; inside,
+        a·x + b·y + c·z + d ≤ 0.
+
+    Raises:
+        scipy.spatial.QhullError: the vertices span no volume.
+    """
+    return np.unique(ConvexHull(vertices).equations.round(_DIGITS), axis=0)
+
 
 def half_thickness(vertices: np.ndarray) -> float:
     """Returns half the least distance of two planes that hold a piece, m.

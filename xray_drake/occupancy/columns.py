@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import trimesh
-from scipy.spatial import ConvexHull
+
+from xray_drake.geometry.convex import hull_planes
 
 _LEVEL_SPACING = 0.008
 """Heights are sorted into levels at most this far apart, m."""
@@ -77,9 +78,12 @@ def measure_columns(
     offset = origin - np.array([0.017, 0.031])
     xy = (np.stack([columns, rows], axis=1) - offset) * pitch
     thickness = float(mesh.bounds[1, 2])
-    high, found_high = _ray_heights(mesh, xy, thickness, up=False)
-    low, found_low = _ray_heights(mesh, xy, thickness, up=True)
-    found = found_high & found_low
+    if mesh.is_convex:
+        low, high, found = _convex_heights(mesh, xy)
+    else:
+        high, found_high = _ray_heights(mesh, xy, thickness, up=False)
+        low, found_low = _ray_heights(mesh, xy, thickness, up=True)
+        found = found_high & found_low
     rows, columns = rows[found], columns[found]
     low, high = low[found], high[found]
 
@@ -97,8 +101,6 @@ def _ray_heights(
     mesh: trimesh.Trimesh, xy: np.ndarray, thickness: float, *, up: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns (n,) heights first met from one side, and where any was met."""
-    if mesh.is_convex:
-        return _convex_heights(mesh, xy, up=up)
     start = -thickness if up else 2 * thickness
     origins = np.column_stack([xy, np.full(len(xy), start)])
     directions = np.tile([0.0, 0.0, 1.0 if up else -1.0], (len(xy), 1))
@@ -113,15 +115,13 @@ def _ray_heights(
 
 
 def _convex_heights(
-    mesh: trimesh.Trimesh, xy: np.ndarray, *, up: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """The same for a convex mesh, from its planes."""
-    planes = np.unique(ConvexHull(mesh.vertices).equations.round(9), axis=0)
+    mesh: trimesh.Trimesh, xy: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns (n,) lower and upper ends of columns, and which there are."""
     lowest = np.full(len(xy), -np.inf)
     highest = np.full(len(xy), np.inf)
     found = np.ones(len(xy), dtype=bool)
-    # Inside, a·x + b·y + c·z + d ≤ 0.
-    for a, b, c, d in planes.tolist():
+    for a, b, c, d in hull_planes(mesh.vertices).tolist():
         rest = xy @ [a, b] + d
         if c > 0:
             np.minimum(highest, -rest / c, out=highest)
@@ -129,8 +129,7 @@ def _convex_heights(
             np.maximum(lowest, -rest / c, out=lowest)
         else:
             found &= rest <= 0
-    found &= lowest <= highest
-    return np.where(found, lowest if up else highest, 0.0), found
+    return lowest, highest, found & (lowest <= highest)
 
 
 def _nearest_edge(

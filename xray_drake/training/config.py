@@ -161,13 +161,13 @@ def check_config(config: TrainConfig, path: str) -> None:
     Raises:
         TrainingError: one line that names the key.
     """
-    for key, allowed in (
-        ("architecture", tuple(_FIXED)),
-        ("input", INPUTS),
-        ("optimizer", _OPTIMIZERS),
-        ("loss", _LOSSES),
+    for key, value, allowed in (
+        ("architecture", config.architecture, tuple(_FIXED)),
+        ("input", config.input, INPUTS),
+        ("optimizer", config.optimizer, _OPTIMIZERS),
+        ("loss", config.loss, _LOSSES),
+        ("prepare.labels", config.prepare.labels, LABELS),
     ):
-        value = getattr(config, key)
         if value not in allowed:
             raise TrainingError(
                 f"{path}: {key} is {value!r}, not one of {', '.join(allowed)}"
@@ -206,11 +206,6 @@ def check_config(config: TrainConfig, path: str) -> None:
         raise TrainingError(
             f"{path}: validation_share is {config.validation_share}, not "
             "between 0 and 1"
-        )
-    if config.prepare.labels not in LABELS:
-        raise TrainingError(
-            f"{path}: prepare.labels is {config.prepare.labels!r}, not one of "
-            f"{', '.join(LABELS)}"
         )
     _check_virtual(config, path)
 

@@ -42,6 +42,7 @@ from xray_drake.training.teacher import expected_occupancy
 _VERSION = 3
 
 LABELS = ("given", "expected")
+"""What may be learned; see ``PrepareConfig.labels``."""
 
 
 @dataclass(frozen=True)
