@@ -5,6 +5,11 @@ import tempfile
 
 from hypothesis import settings
 
+from xray_drake.threads import limit_threads
+
+# Workers on all cores share them; libraries look at it when imported.
+limit_threads()
+
 pytest_plugins = ["xray_drake.testing.fixtures"]
 
 _CACHE = tempfile.TemporaryDirectory(prefix="xray_drake_cache_")
@@ -14,3 +19,10 @@ os.environ["XRAY_DRAKE_CACHE"] = _CACHE.name
 # How long an example takes is the benchmarks' matter, not the tests'.
 settings.register_profile("xray_drake", deadline=None)
 settings.load_profile("xray_drake")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """As many as this process may use; its own choice is the machine's."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
