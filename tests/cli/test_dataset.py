@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.dataset.whole import write_dataset
+from tests.dataset.whole import bare_sample, write_dataset
 from xray_drake.cli import inspect as inspect_module
 from xray_drake.cli.main import app
 from xray_drake.dataset.manifest import Manifest
@@ -16,26 +16,7 @@ from xray_drake.dataset.sample import Sample
 def _sample(heap_seed: int) -> Sample:
     mask = np.zeros((24, 32), bool)
     mask[10:14, 12:20] = True
-    X_WC = np.diag([1.0, -1, -1, 1])
-    X_WC[2, 3] = 0.8
-    X_WT = np.eye(4)
-    X_WT[2, 3] = 0.0025
-    return Sample(
-        depth=np.where(mask, 0.795, 0.8),
-        depth_without_target=np.full((24, 32), 0.8),
-        target_modal=mask,
-        target_amodal=mask,
-        instances=mask,
-        occupancy=mask,
-        intrinsics=np.array([[35.0, 0, 15.5], [0, 35, 11.5], [0, 0, 1]]),
-        X_WC=X_WC,
-        X_WT=X_WT,
-        target_size=np.array([0.19, 0.1, 0.005]),
-        object_names=(),
-        target_name="box_2to1",
-        heap_seed=heap_seed,
-        num_dropped=11,
-    )
+    return bare_sample(mask, focal_length=35.0, heap_seed=heap_seed)
 
 
 @pytest.fixture

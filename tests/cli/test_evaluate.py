@@ -1,5 +1,6 @@
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -9,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from tests.dataset.whole import write_dataset
+from tests.dataset.whole import bare_sample, write_dataset
 from xray_drake.cli.evaluate import app
 from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.sample import Sample
@@ -28,27 +29,14 @@ def _sample(heap_seed: int) -> Sample:
     """A target in full view; the depth's corner says which sample it is."""
     mask = np.zeros((24, 32), bool)
     mask[10:13, 12:18] = True
-    X_WC = np.diag([1.0, -1, -1, 1])
-    X_WC[2, 3] = 0.8
-    X_WT = np.eye(4)
-    X_WT[2, 3] = 0.0025
     depth = np.where(mask, 0.795, 0.8)
     depth[0, 0] = 0.7 + 0.01 * heap_seed
-    return Sample(
+    return replace(
+        bare_sample(mask, focal_length=35.0, heap_seed=heap_seed),
         depth=depth,
         depth_without_target=depth,
-        target_modal=mask,
-        target_amodal=mask,
-        instances=mask,
-        occupancy=mask,
-        intrinsics=np.array([[35.0, 0, 15.5], [0, 35, 11.5], [0, 0, 1]]),
-        X_WC=X_WC,
-        X_WT=X_WT,
         target_size=np.array([0.14, 0.07, 0.005 + 0.005 * (heap_seed % 2)]),
-        object_names=(),
         target_name=TARGETS[heap_seed % 2],
-        heap_seed=heap_seed,
-        num_dropped=11,
     )
 
 

@@ -3,9 +3,45 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from xray_drake.dataset.manifest import Manifest, write_manifest
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.shards import ShardAttributes, write_shard
+
+
+def bare_sample(
+    seen: np.ndarray, *, focal_length: float, heap_seed: int = 0
+) -> Sample:
+    """Returns a target on a bare floor, 0.8 m below the camera.
+
+    Args:
+        seen: (H, W) bool, the target; modal, amodal mask and label are this.
+        focal_length: of the camera, pixels.
+        heap_seed: the key.
+    """
+    height, width = seen.shape
+    f, cx, cy = focal_length, (width - 1) / 2, (height - 1) / 2
+    X_WC = np.diag([1.0, -1, -1, 1])
+    X_WC[2, 3] = 0.8
+    X_WT = np.eye(4)
+    X_WT[2, 3] = 0.0025
+    return Sample(
+        depth=np.where(seen, 0.795, 0.8),
+        depth_without_target=np.full(seen.shape, 0.8),
+        target_modal=seen,
+        target_amodal=seen,
+        instances=seen,
+        occupancy=seen,
+        intrinsics=np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]]),
+        X_WC=X_WC,
+        X_WT=X_WT,
+        target_size=np.array([0.19, 0.1, 0.005]),
+        object_names=(),
+        target_name="box_2to1",
+        heap_seed=heap_seed,
+        num_dropped=11,
+    )
 
 
 def write_dataset(

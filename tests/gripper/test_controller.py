@@ -8,6 +8,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from tests.ports import inputs_of, outputs_of
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
 from xray_drake.gripper.suction import CupState
@@ -83,14 +84,19 @@ class Alone:
 
 def test_ports_are_named(gripper: YumiGripper) -> None:
     system = Alone(gripper).system
-    assert [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ] == ["action", "carrier_state", "finger_state", "cup_state", "at_rest"]
-    assert [
-        system.get_output_port(i).get_name()
-        for i in range(system.num_output_ports())
-    ] == ["status", "carrier_desired_state", "finger_desired_state", "suction"]
+    assert inputs_of(system) == [
+        "action",
+        "carrier_state",
+        "finger_state",
+        "cup_state",
+        "at_rest",
+    ]
+    assert outputs_of(system) == [
+        "status",
+        "carrier_desired_state",
+        "finger_desired_state",
+        "suction",
+    ]
     assert system.get_name() == "gripper_controller"
 
 

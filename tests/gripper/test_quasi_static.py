@@ -12,6 +12,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.ports import inputs_of, outputs_of
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.gripper.quasi_static import (
     DrawnGripper,
@@ -146,14 +147,12 @@ class Alone:
 
 def test_ports_are_named() -> None:
     system = Alone(Judge()).system
-    assert [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ] == ["action", "body_poses", "body_spatial_velocities"]
-    assert [
-        system.get_output_port(i).get_name()
-        for i in range(system.num_output_ports())
-    ] == ["status", "applied_spatial_force", "position"]
+    assert inputs_of(system) == [
+        "action",
+        "body_poses",
+        "body_spatial_velocities",
+    ]
+    assert outputs_of(system) == ["status", "applied_spatial_force", "position"]
     assert system.get_name() == "gripper_controller"
 
 

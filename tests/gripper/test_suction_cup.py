@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.ports import inputs_of, outputs_of
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
 from xray_drake.gripper.yumi import add_gripper
@@ -131,14 +132,12 @@ def over_plate(height: float, x: float = 0.0, tilt: float = 0.0) -> np.ndarray:
 
 def test_ports_are_named() -> None:
     system = Alone(over_plate(0.1)).system
-    assert [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ] == ["suction", "body_poses", "body_spatial_velocities"]
-    assert [
-        system.get_output_port(i).get_name()
-        for i in range(system.num_output_ports())
-    ] == ["state", "applied_spatial_force"]
+    assert inputs_of(system) == [
+        "suction",
+        "body_poses",
+        "body_spatial_velocities",
+    ]
+    assert outputs_of(system) == ["state", "applied_spatial_force"]
     assert system.get_name() == "suction_cup"
 
 

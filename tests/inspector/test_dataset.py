@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.dataset.whole import bare_sample
 from xray_drake.dataset.sample import Sample
-from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.inspector import dataset as module
 from xray_drake.inspector.dataset import (
     DrakeViewer,
@@ -22,34 +22,20 @@ from xray_drake.inspector.dataset import (
 
 @pytest.fixture
 def sample() -> Sample:
-    camera = PinholeCamera(
-        width=32,
-        height=24,
-        intrinsics=np.array([[35.0, 0, 15.5], [0, 35, 11.5], [0, 0, 1]]),
-        X_WC=np.array(
-            [[1.0, 0, 0, 0.1], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]]
-        ),
-    )
-    mask = np.zeros(camera.shape, bool)
+    mask = np.zeros((24, 32), bool)
     mask[10:14, 12:20] = True
-    depth = np.where(mask, camera.plane_depth(0.005), 0.8)
+    bare = bare_sample(mask, focal_length=35.0, heap_seed=1)
+    depth = bare.depth.copy()
     depth[0, 0] = 0
-    X_WT = np.eye(4)
-    X_WT[:3, 3] = 0.1, 0, 0.0025
-    return Sample(
+    X_WC, X_WT = bare.X_WC.copy(), bare.X_WT.copy()
+    X_WC[0, 3] = X_WT[0, 3] = 0.1
+    return dataclasses.replace(
+        bare,
         depth=depth,
-        depth_without_target=np.full(camera.shape, 0.8),
-        target_modal=mask,
-        target_amodal=mask,
-        instances=mask,
         occupancy=mask * 0.5,
-        intrinsics=camera.intrinsics,
-        X_WC=camera.X_WC,
+        X_WC=X_WC,
         X_WT=X_WT,
         target_size=np.array([0.16, 0.08, 0.005]),
-        object_names=(),
-        target_name="box_2to1",
-        heap_seed=1,
     )
 
 

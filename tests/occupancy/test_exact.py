@@ -6,6 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.masks import iou
 from tests.occupancy.brute_force import BruteForce, render
 from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
@@ -17,10 +18,6 @@ from xray_drake.scene.targets import target_model
 NOTHING = np.zeros((384, 512), dtype=bool)
 # Fewer orientations than usual, for the sake of the brute force.
 COARSE = ExactInferenceConfig(rotations=16, seen_step=0.006)
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    return np.count_nonzero(a & b) / np.count_nonzero(a | b)
 
 
 def amodal_mask(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:

@@ -6,6 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.masks import iou
 from tests.occupancy.brute_force import render
 from tests.occupancy.label_scenes import (
     draw_camera,
@@ -22,10 +23,6 @@ from xray_drake.occupancy.label import LabelConfig, occupancy_label
 
 NOMINAL = CAMERAS["nominal"]
 NOTHING = np.zeros(NOMINAL.shape, dtype=bool)
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    return np.count_nonzero(a & b) / np.count_nonzero(a | b)
 
 
 def lay(

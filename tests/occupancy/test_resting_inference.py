@@ -6,6 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.masks import iou
 from tests.occupancy.brute_force import RestingBruteForce, render
 from tests.occupancy.scenes import CAMERAS, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
@@ -83,10 +84,6 @@ def amodal_of(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:
 def roof(xy: np.ndarray, height: float, side: float) -> trimesh.Trimesh:
     plate = trimesh.creation.box([side, side, 0.01])
     return plate.apply_translation([*xy, height + 0.007])
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    return np.count_nonzero(a & b) / np.count_nonzero(a | b)
 
 
 def poses_at(

@@ -6,6 +6,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F
 
+from tests.ports import inputs_of
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution, TargetMask
 from xray_drake.occupancy.exact import ExactInference
@@ -66,10 +67,7 @@ def cluttered_depth() -> np.ndarray:
 
 
 def test_ports_are_named(system: OccupancyInference) -> None:
-    inputs = [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ]
+    inputs = inputs_of(system)
     assert inputs == ["depth_image", "target_mask", "camera"]
     assert system.num_output_ports() == 1
     assert system.get_output_port().get_name() == "occupancy"

@@ -8,6 +8,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import ImageDepth32F, ImageRgba8U
 
+from tests.ports import ports
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import InstanceMasks, TargetMask
 from xray_drake.perception.depth_noise import DepthNoise
@@ -38,19 +39,6 @@ def blocks() -> np.ndarray:
     depth[30:60, 40:60] = 0.75
     depth[30:40, 80:90] = 0.78
     return depth
-
-
-def ports(system: LeafSystem) -> tuple[list[str], list[str]]:
-    return (
-        [
-            system.get_input_port(i).get_name()
-            for i in range(system.num_input_ports())
-        ],
-        [
-            system.get_output_port(i).get_name()
-            for i in range(system.num_output_ports())
-        ],
-    )
 
 
 def fix(system: LeafSystem, context: Context, **inputs: Any) -> None:

@@ -7,6 +7,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import ImageLabel16I
 
+from tests.ports import ports
 from xray_drake.messages import InstanceMasks, TargetMask
 from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
@@ -21,19 +22,6 @@ def fix(system: LeafSystem, context: Context, labels: np.ndarray) -> None:
     image.mutable_data[:, :, 0] = labels
     system.GetInputPort("label_image").FixValue(
         context, AbstractValue.Make(image)
-    )
-
-
-def ports(system: LeafSystem) -> tuple[list[str], list[str]]:
-    return (
-        [
-            system.get_input_port(i).get_name()
-            for i in range(system.num_input_ports())
-        ],
-        [
-            system.get_output_port(i).get_name()
-            for i in range(system.num_output_ports())
-        ],
     )
 
 

@@ -10,6 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import ImageDepth32F
 
 from tests.policy.test_system import Planner
+from tests.ports import inputs_of
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
@@ -111,10 +112,7 @@ class Policy:
 
 def test_it_needs_no_poses() -> None:
     system = Policy(SeenPlanner()).system
-    assert [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ] == [
+    assert inputs_of(system) == [
         *("occupancy", "instances", "target_mask", "status"),
         *("seen_depth_image", "camera"),
     ]

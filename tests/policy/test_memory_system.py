@@ -16,6 +16,7 @@ from tests.policy.blocks import (
     look,
     overhead_camera,
 )
+from tests.ports import inputs_of
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -97,10 +98,7 @@ def remembered(memory: TargetMemory, **touched: str) -> np.ndarray:
 
 def test_ports_are_named() -> None:
     system = Memory().system
-    assert [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ] == [
+    assert inputs_of(system) == [
         "depth_image",
         "target_mask",
         "instances",

@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import ImageDepth32F
 
+from tests.ports import inputs_of
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
@@ -128,10 +129,13 @@ class Policy:
 
 def test_ports_are_named() -> None:
     system = Policy(Planner()).system
-    assert [
-        system.get_input_port(i).get_name()
-        for i in range(system.num_input_ports())
-    ] == ["occupancy", "instances", "target_mask", "status", "body_poses"]
+    assert inputs_of(system) == [
+        "occupancy",
+        "instances",
+        "target_mask",
+        "status",
+        "body_poses",
+    ]
     assert system.num_output_ports() == 1
     assert system.get_output_port().get_name() == "action"
     assert system.get_name() == "search_policy"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import Context, EventStatus
 
+from tests.ports import inputs_of, outputs_of
 from tests.search.test_rollout import TARGET, Sleepers, Watcher
 from xray_drake.messages import GripperMode, Outcome
 from xray_drake.scene.heap import Heap
@@ -194,10 +195,7 @@ def test_what_counts_is_what_lies_in_the_tote(
 
 
 def test_ports_by_contact(diagram: SearchDiagram) -> None:
-    ports = {
-        diagram.get_output_port(i).get_name()
-        for i in range(diagram.num_output_ports())
-    }
+    ports = set(outputs_of(diagram))
     assert ports >= {
         "gripper_controller.status",
         "suction_cup.state",
@@ -206,10 +204,7 @@ def test_ports_by_contact(diagram: SearchDiagram) -> None:
         "fingers.state",
     }
     station = diagram.GetSubsystemByName("heap_station")
-    assert {
-        station.get_input_port(i).get_name()
-        for i in range(station.num_input_ports())
-    } == {
+    assert set(inputs_of(station)) == {
         "applied_spatial_force",
         "carrier.desired_state",
         "fingers.desired_state",

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from tests.search.test_rollout import always_failing, stripped
+from tests.search.records import stripped
+from tests.search.test_rollout import always_failing
 from xray_drake.messages import GraspKind, Outcome, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import build_search_diagram

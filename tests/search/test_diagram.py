@@ -3,6 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.ports import outputs_of
 from xray_drake.messages import (
     GripperMode,
     GripperStatus,
@@ -54,10 +55,7 @@ OUTPUTS = {
 
 def test_ports(tiny_diagram: SearchDiagram) -> None:
     assert tiny_diagram.num_input_ports() == 0
-    names = [
-        tiny_diagram.get_output_port(i).get_name()
-        for i in range(tiny_diagram.num_output_ports())
-    ]
+    names = outputs_of(tiny_diagram)
     assert len(names) == len(set(names))
     assert set(names) >= OUTPUTS
 

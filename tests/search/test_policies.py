@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.ports import inputs_of
+from tests.search.records import stripped
 from xray_drake.choices import POLICIES
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.gripper.quasi_static import QuasiStaticGripper
@@ -45,12 +47,11 @@ class Recorder:
         return np.array([[float(areas[name])] for name in view.candidates])
 
 
-def stripped(record: SearchRecord) -> dict[str, Any]:
-    data = record.to_dict()
+def nameless(record: SearchRecord) -> dict[str, Any]:
+    """Returns the record without wall times and the policy's name."""
+    data = stripped(record)
     name = data.pop("policy")
     data["scenario"] = data["scenario"].replace(f"\n  name: {name}", "")
-    for action in data["actions"]:
-        del action["seconds"]
     return data
 
 
@@ -93,7 +94,7 @@ def test_one_ranking_under_any_name_gives_one_rollout(
     assert len(recorders[first].seen) == records[first].num_actions >= 2
     for name in others:
         assert recorders[name].seen == recorders[first].seen
-        assert stripped(records[name]) == stripped(records[first])
+        assert nameless(records[name]) == nameless(records[first])
 
 
 def test_the_systems_are_built_alike(
@@ -147,10 +148,7 @@ def test_each_gets_what_it_needs_and_no_more(
     diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
     boxes = {system.get_name(): system for system in diagram.GetSystems()}
     policy, inference = boxes["search_policy"], boxes["occupancy_inference"]
-    ports = {
-        policy.get_input_port(i).get_name()
-        for i in range(policy.num_input_ports())
-    }
+    ports = set(inputs_of(policy))
     assert ("true_target" in boxes) == ("true_target" in ports)
     assert ("true_target" in boxes) == (name == "oracle")
     assert ("search_memory" in boxes) == (name in ("memory", "combined"))

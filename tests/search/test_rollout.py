@@ -1,7 +1,5 @@
-import copy
 import signal
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +7,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, EventStatus
 
+from tests.search.records import stripped
 from xray_drake.messages import GripperStatus, Outcome, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.plant import BIN_WALL_HEIGHT
@@ -64,14 +63,6 @@ class Watcher:
                 for i in items
             }
         )
-
-
-def stripped(record: SearchRecord) -> dict[str, Any]:
-    """Returns the record without its wall times."""
-    data = copy.deepcopy(record.to_dict())
-    for action in data["actions"]:
-        del action["seconds"]
-    return data
 
 
 def always_failing(scenario: Scenario) -> Scenario:

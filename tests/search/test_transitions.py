@@ -1,4 +1,3 @@
-import copy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import Context
 
+from tests.search.records import stripped
 from xray_drake.gripper.quasi_static import QuasiStaticGripper
 from xray_drake.messages import Outcome, SearchAction
 from xray_drake.scene.heap import Heap
@@ -16,14 +16,6 @@ from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.search.rollout import run_search
 from xray_drake.search.transitions import Transitions
 from xray_drake.station.scenario import Scenario
-
-
-def stripped(record: SearchRecord) -> dict[str, Any]:
-    """Returns the record without its wall times."""
-    data = copy.deepcopy(record.to_dict())
-    for action in data["actions"]:
-        del action["seconds"]
-    return data
 
 
 class Tries:

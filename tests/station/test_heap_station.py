@@ -10,6 +10,7 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
+from tests.ports import inputs_of, outputs_of
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.scene.heap import Heap
 from xray_drake.station.heap_station import StationParts, build_heap_station
@@ -50,14 +51,11 @@ def station(tiny_heap: Heap) -> Station:
 def test_ports_are_named(station: Station) -> None:
     diagram = station.diagram
     assert diagram.get_name() == "heap_station"
-    assert {
-        diagram.get_input_port(i).get_name()
-        for i in range(diagram.num_input_ports())
-    } == {"applied_spatial_force", "gripper.position"}
-    assert {
-        diagram.get_output_port(i).get_name()
-        for i in range(diagram.num_output_ports())
-    } == {
+    assert set(inputs_of(diagram)) == {
+        "applied_spatial_force",
+        "gripper.position",
+    }
+    assert set(outputs_of(diagram)) == {
         "overhead.color_image",
         "overhead.depth_image",
         "overhead.label_image",

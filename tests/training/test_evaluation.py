@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from tests.dataset.whole import bare_sample
 from xray_drake.dataset.augmentation import DepthNoise
 from xray_drake.dataset.check import FULLY_VISIBLE
 from xray_drake.dataset.sample import Sample
@@ -42,22 +43,14 @@ def make_sample(
     modal[rows[:seen], columns[:seen]] = True
     occupancy = np.where(amodal, 1.0, 0.0)
     occupancy[4:8, 10:12] = 0.5
-    X_WC = np.diag([1.0, -1, -1, 1])
-    X_WC[2, 3] = 0.8
-    return Sample(
+    return dataclasses.replace(
+        bare_sample(amodal, focal_length=17.0, heap_seed=heap_seed),
         depth=np.full(SHAPE, 0.8),
-        depth_without_target=np.full(SHAPE, 0.8),
         target_modal=modal,
-        target_amodal=amodal,
         instances=modal,
         occupancy=occupancy,
-        intrinsics=np.array([[17.0, 0, 7.5], [0, 17, 5.5], [0, 0, 1]]),
-        X_WC=X_WC,
-        X_WT=np.eye(4),
         target_size=np.array([0.06, 0.03, 0.005]),
-        object_names=(),
         target_name=target_name,
-        heap_seed=heap_seed,
         view=view,
         num_dropped=3,
     )

@@ -11,10 +11,10 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from xray_drake.dataset.manifest import Manifest, write_manifest
+from tests.dataset.whole import write_dataset
+from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
 from xray_drake.dataset.sample import Sample, depth_on_disk
-from xray_drake.dataset.shards import ShardAttributes, write_shard
 from xray_drake.dataset.virtual import virtual_sample
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.learned import load_inference
@@ -106,19 +106,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         width=_SHAPE[1],
         scenario="name: tiny\n",
     )
-    write_manifest(folder, manifest)
-    attributes = ShardAttributes(
-        split="train",
-        scenario=manifest.scenario,
-        package_version="0.1.0",
-        drake_version="1.51.1",
-        dataset=manifest.fingerprint(),
+    names = tuple(_SIZES)
+    return write_dataset(
+        folder,
+        manifest,
+        lambda i: _sample(i // len(names), names[i % len(names)]),
     )
-    samples = [_sample(seed, name) for seed in range(_HEAPS) for name in _SIZES]
-    for shard in manifest.expected_shards():
-        rows = slice(shard.first, shard.first + shard.count)
-        write_shard(folder / shard.name, samples[rows], attributes)
-    return folder
 
 
 class _Small(nn.Module):

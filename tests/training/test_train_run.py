@@ -12,14 +12,13 @@ import typer
 from typer.testing import CliRunner
 
 from tests.dataset.conftest import synthetic_sample
+from tests.dataset.whole import write_dataset
 from xray_drake.cli.train import train as train_command
 from xray_drake.dataset.manifest import (
     DatasetError,
     Manifest,
-    write_manifest,
 )
 from xray_drake.dataset.reader import is_held_out
-from xray_drake.dataset.shards import ShardAttributes, write_shard
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.networks.weights import (
     NetworkCard,
@@ -85,22 +84,13 @@ def _write(folder: Path, heaps: list[int]) -> Path:
         width=SHAPE[1],
         scenario="name: tiny\n",
     )
-    write_manifest(folder, manifest)
-    write_shard(
-        folder / "train-00000.h5",
-        [
-            synthetic_sample(heap, cover=(0.4, 1.0)[heap % 2], shape=SHAPE)
-            for heap in heaps
-        ],
-        ShardAttributes(
-            split="train",
-            scenario=manifest.scenario,
-            package_version="0.1.0",
-            drake_version="1.51.1",
-            dataset=manifest.fingerprint(),
+    return write_dataset(
+        folder,
+        manifest,
+        lambda i: synthetic_sample(
+            heaps[i], cover=(0.4, 1.0)[heaps[i] % 2], shape=SHAPE
         ),
     )
-    return folder
 
 
 @pytest.fixture(scope="module")
