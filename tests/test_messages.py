@@ -116,9 +116,10 @@ def test_support_is_what_exceeds_the_threshold() -> None:
     learned = OccupancyDistribution(data, support_threshold=0.03)
     assert exact.support_size() == 5
     assert learned.support_size() == 4
-    assert learned.support_size(0.0) == 5
-    assert exact.support_size(0.3) == 2
+    assert exact.support_01_size() == learned.support_01_size() == 2
     np.testing.assert_array_equal(learned.support(), data > 0.03)
+    np.testing.assert_array_equal(learned.supported(), data * (data > 0.03))
+    assert learned.supported().dtype == np.float32
 
 
 def test_words_of_the_record() -> None:

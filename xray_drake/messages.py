@@ -84,8 +84,8 @@ class OccupancyDistribution(Message):
     Attributes:
         data: (H, W) float32 in [0, 1]. Of labels and exact inference the
             maximum is 1, or all is 0; a network's answer is as it comes.
-        support_threshold: values above it are support: 0 for labels and exact
-            inference, 0.02 for networks.
+        support_threshold: values above it are support. Whoever makes the
+            distribution sets it; whoever uses it asks for its support.
         method: how it came about, for the record: ``"exact"`` and the like.
     """
 
@@ -102,11 +102,21 @@ class OccupancyDistribution(Message):
         """Returns the (H, W) bool support (paper section III.D)."""
         return self.data > self.support_threshold
 
-    def support_size(self, threshold: float | None = None) -> int:
-        """Returns the number of pixels above ``threshold``."""
-        if threshold is None:
-            threshold = self.support_threshold
-        return int(np.count_nonzero(self.data > threshold))
+    def supported(self) -> np.ndarray:
+        """Returns the (H, W) float32 data, 0 outside the support."""
+        return np.where(self.support(), self.data, np.float32(0))
+
+    def support_size(self) -> int:
+        """Returns the number of pixels of the support."""
+        return int(np.count_nonzero(self.support()))
+
+    def support_01_size(self) -> int:
+        """Returns the number of pixels with ρ > 0.1.
+
+        It is recorded beside the support, since it is the same count for all
+        methods.
+        """
+        return int(np.count_nonzero(self.data > 0.1))
 
 
 class GraspKind(Enum):

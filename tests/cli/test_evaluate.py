@@ -214,7 +214,7 @@ def test_a_figure_of_the_worst(
     (example,) = drawn
     assert example.sample.heap_seed == 2
     assert example.ious == {"weak": 0.0, "modal": 1.0}
-    assert example.predictions["weak"].max() == 0.5
+    assert example.predictions["weak"].data.max() == 0.5
     drawn.clear()
     _run(folder, "--weights", "weak", "--no-exact", "--figure", out)
     assert [e.sample.heap_seed for e in drawn] == [0, 1, 2, 3]

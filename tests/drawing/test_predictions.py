@@ -8,12 +8,12 @@ import pytest
 
 from xray_drake.drawing.colors import overlay
 from xray_drake.drawing.predictions import (
-    FAINTEST,
     Example,
     choose_examples,
     prediction_figure,
 )
 from xray_drake.drawing.sample_figure import depth_picture
+from xray_drake.messages import OccupancyDistribution
 
 
 @dataclass
@@ -37,7 +37,7 @@ def _example(*, hidden: bool = False) -> Example:
     seen[:, 10:] = False
     occupancy = mask.astype(np.float32)
     prediction = 0.5 * occupancy
-    prediction[20, 3] = FAINTEST / 2
+    prediction[20, 3] = 0.01
     return Example(
         sample=_Sample(
             depth=depth,
@@ -46,7 +46,10 @@ def _example(*, hidden: bool = False) -> Example:
             instances=mask.astype(np.uint8),
             occupancy=occupancy,
         ),
-        predictions={"net_$a$": prediction, "exact": occupancy},
+        predictions={
+            "net_$a$": OccupancyDistribution(prediction, 0.02),
+            "exact": OccupancyDistribution(occupancy),
+        },
         ious={"net_$a$": 0.125, "exact": math.nan},
     )
 
@@ -72,7 +75,7 @@ def test_a_row_is_input_label_and_predictions() -> None:
     label = overlay(gray, example.sample.occupancy)
     np.testing.assert_array_equal(images[1], label)
     np.testing.assert_array_equal(images[3], label)
-    # The prediction has its own colours, and what is faint is not drawn.
+    # The prediction has its own colours, and no more than its support is drawn.
     assert not np.array_equal(images[2], label)
     np.testing.assert_array_equal(images[2][20, 3], gray[20, 3])
     data = io.BytesIO()
@@ -84,7 +87,7 @@ def test_a_row_is_input_label_and_predictions() -> None:
 
 def test_rows_need_the_same_predictors() -> None:
     example = _example()
-    other = replace(example, predictions={"exact": example.sample.occupancy})
+    other = replace(example, predictions={})
     with pytest.raises(ValueError, match="same predictors"):
         prediction_figure([example, other])
     with pytest.raises(ValueError, match="at least one"):

@@ -136,6 +136,7 @@ def test_what_is_observed(played: Any) -> None:
     assert first["depth"].dtype == np.float32
     assert 0.7 < np.median(first["depth"]) < 0.81
     assert first["occupancy"].max() == 1
+    np.testing.assert_array_equal(first["support"], first["occupancy"] > 0)
     valid = np.flatnonzero(first["action_mask"])
     assert set(valid) <= set(range(len(areas)))
     # An object that was taken away is not seen any more.
@@ -300,6 +301,7 @@ def test_agents() -> None:
     observation = {
         "instances": labels,
         "occupancy": rho,
+        "support": (rho > 0).astype(np.uint8),
         "target_mask": (labels == 2).astype(np.uint8),
         "action_mask": np.array([1, 1, 0, 0], np.int8),
     }
@@ -314,6 +316,22 @@ def test_agents() -> None:
     assert drawn == {0, 1, 2}
     observation["action_mask"][:] = 0
     assert xray_agent(observation) == random_agent(observation, rng) == 0
+
+
+def test_an_agent_counts_the_support_alone() -> None:
+    """A network's answer is faint where it is no support, over many pixels."""
+    labels = np.repeat([[0, 0, 0, 1]], 12, axis=0).astype(np.int16)
+    rho = np.full((12, 4), 0.019, np.float32)
+    rho[:10, 3] = 0.05
+    observation = {
+        "instances": labels,
+        "occupancy": rho,
+        "support": (rho > 0.02).astype(np.uint8),
+        "target_mask": np.zeros((12, 4), np.uint8),
+        "action_mask": np.array([1, 1], np.int8),
+    }
+    assert rho[labels == 0].sum() > rho[labels == 1].sum()
+    assert xray_agent(observation) == 1
 
 
 def test_gymnasiums_checker(scenario: Scenario, tiny_heap: Heap) -> None:

@@ -125,8 +125,8 @@ def test_mass_and_support_by_hand() -> None:
     prediction = np.array([[1.0, 0.5, 0.02], [0.48, 0.0, 0.0]])
     mask = np.array([[True, False, True], [False, True, False]])
     assert mass_on_mask(prediction, mask) == pytest.approx(1.02 / 2.0)
-    assert share_in_support(prediction, mask) == pytest.approx(2 / 3)
-    assert share_in_support(prediction, mask, 0.02) == pytest.approx(1 / 3)
+    assert share_in_support(prediction > 0, mask) == pytest.approx(2 / 3)
+    assert share_in_support(prediction > 0.02, mask) == pytest.approx(1 / 3)
 
 
 @given(prediction=IMAGES, mask=MASKS, scale=st.floats(0.01, 1))

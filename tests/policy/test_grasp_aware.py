@@ -20,6 +20,7 @@ from xray_drake.policy.chance import chance
 from xray_drake.policy.grasp_aware import GraspAware, GraspAwareConfig
 from xray_drake.policy.ranking import (
     Planning,
+    Ranked,
     SearchView,
     largest,
     order,
@@ -50,7 +51,7 @@ def view(blocks: Sequence[Block], plan: Planning) -> SearchView:
     )
 
 
-def ranked(seen: SearchView, ranking: GraspAware) -> list[tuple[str, float]]:
+def ranked(seen: SearchView, ranking: GraspAware) -> list[Ranked]:
     return order(seen, ranking, np.random.default_rng(0))
 
 
@@ -68,7 +69,7 @@ class Noting:
 
 def test_a_target_that_can_be_grasped_is_next() -> None:
     plan = Noting(planning({**GOOD, TARGET: 0.5}))
-    (name, score), *_ = ranked(view(ALL, plan), GraspAware())
+    (name, score, _), *_ = ranked(view(ALL, plan), GraspAware())
     assert name == TARGET
     assert score == chance(planning({TARGET: 0.5})(TARGET))
     assert plan.asked == [(TARGET, ())]
@@ -77,7 +78,9 @@ def test_a_target_that_can_be_grasped_is_next() -> None:
 @pytest.mark.parametrize("blocker", ["left", "right"])
 def test_what_blocks_the_grasp_goes_first(blocker: str) -> None:
     freed = {(TARGET, blocker): 0.6}
-    (name, score), *_ = ranked(view(ALL, planning(GOOD, freed)), GraspAware())
+    (name, score, _), *_ = ranked(
+        view(ALL, planning(GOOD, freed)), GraspAware()
+    )
     assert name == blocker
     first, then = (
         chance(planning({"it": quality})("it")) for quality in (0.9, 0.6)
@@ -129,9 +132,21 @@ def test_where_none_helps_what_takes_the_place_goes_first() -> None:
         for row, column in np.argwhere(seen.instances.mask(name)).tolist():
             away = np.hypot(rows - row, columns - column).min()
             places[name] += 1.0 if away == 0 else 0.5 * (away <= room)
-    names = [name for name, _ in ranked(seen, GraspAware())]
+    names = [c.name for c in ranked(seen, GraspAware())]
     assert names == sorted(seen.candidates, key=lambda n: -places[n])
     assert names[0] == "lid"
+
+
+def test_what_is_in_the_way_is_worth_a_weak_grasp() -> None:
+    freed = {(TARGET, "left"): 0.6}
+    for plan in (planning(GOOD), planning(GOOD, freed)):
+        hides = {c.name: c.hides for c in ranked(view(ALL, plan), GraspAware())}
+        assert hides == {
+            TARGET: True,
+            "left": True,
+            "right": True,
+            "far": False,
+        }
 
 
 def test_while_the_target_is_not_seen_another_ranking_decides() -> None:
@@ -139,11 +154,12 @@ def test_while_the_target_is_not_seen_another_ranking_decides() -> None:
     rng = np.random.default_rng(0)
     for search in (xray, largest):
         np.testing.assert_array_equal(
-            GraspAware(search)(seen, rng), search(seen, rng)
+            GraspAware(search)(seen, rng).values, search(seen, rng).values
         )
     peeping = replace(view(ALL, planning(GOOD)), candidates=("left", "far"))
     np.testing.assert_array_equal(
-        GraspAware(largest)(peeping, rng), largest(peeping, rng)
+        GraspAware(largest)(peeping, rng).values,
+        largest(peeping, rng).values,
     )
 
 

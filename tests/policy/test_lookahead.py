@@ -47,12 +47,12 @@ def view(blocks: Sequence[Block], plan: Planning) -> SearchView:
 
 def names(seen: SearchView, lookahead: Lookahead) -> list[str]:
     rng = np.random.default_rng(0)
-    return [name for name, _ in order(seen, lookahead, rng)]
+    return [c.name for c in order(seen, lookahead, rng)]
 
 
 def values(seen: SearchView, config: LookaheadConfig) -> dict[str, float]:
     scores = Lookahead(config)(seen, np.random.default_rng(0))
-    return dict(zip(seen.candidates, scores[:, 0].tolist(), strict=True))
+    return dict(zip(seen.candidates, scores.values[:, 0].tolist(), strict=True))
 
 
 def expected(
@@ -123,10 +123,18 @@ def test_it_expects_what_would_happen(
 def test_what_stands_on_something_large_lays_nothing_bare() -> None:
     good = planning({"slab": 1.0, "cup": 1.0, "box": 1.0})
     seen = view([SLAB, CUP, BOX], good)
-    by_xray = [name for name, _ in order(seen, xray, np.random.default_rng(0))]
+    by_xray = [c.name for c in order(seen, xray, np.random.default_rng(0))]
     assert by_xray == ["slab", "cup", "box"]
     assert names(seen, Lookahead(GREEDY)) == ["slab", "box", "cup"]
     assert values(seen, GREEDY)["cup"] == 0.0
+
+
+def test_what_it_does_not_try_may_hide_the_target() -> None:
+    seen = view([SLAB, CUP, BOX], planning({"slab": 1.0, "box": 1.0}))
+    config = LookaheadConfig(candidates=1, beam=0)
+    assert values(seen, config)["box"] == 0.0
+    scores = Lookahead(config)(seen, np.random.default_rng(0))
+    assert scores.hides.all()
 
 
 def test_a_grasp_that_may_fail_is_worth_less() -> None:
@@ -180,7 +188,7 @@ def test_a_target_that_can_be_grasped_ends_the_search() -> None:
 
 def test_ties_are_ranked_by_xray() -> None:
     seen = view([SLAB, CUP, BOX], planning({}))
-    by_xray = [name for name, _ in order(seen, xray, np.random.default_rng(0))]
+    by_xray = [c.name for c in order(seen, xray, np.random.default_rng(0))]
     assert names(seen, Lookahead()) == by_xray
 
 

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from xray_drake.messages import InstanceMasks, OccupancyDistribution
 from xray_drake.policy.ranking import (
     RANKINGS,
+    Ranked,
+    Scores,
     SearchView,
     candidates,
     largest,
@@ -45,8 +47,8 @@ def random_view(seed: int, threshold: float) -> SearchView:
     return view(labels, rho, threshold=threshold)
 
 
-def names_of(ranked: list[tuple[str, float]]) -> list[str]:
-    return [name for name, _ in ranked]
+def names_of(ranked: list[Ranked]) -> list[str]:
+    return [c.name for c in ranked]
 
 
 @settings(deadline=None, max_examples=50)
@@ -61,7 +63,7 @@ def test_xray_sums_mask_times_distribution(seed: int, threshold: float) -> None:
             if label >= 0 and rho[row, column] > threshold:
                 name = seen.instances.names[label]
                 expected[name] += float(rho[row, column])
-    scores = xray(seen, rng())[:, 0]
+    scores = xray(seen, rng()).values[:, 0]
     np.testing.assert_allclose(scores, list(expected.values()), rtol=1e-12)
     assert names_of(order(seen, xray, rng())) == sorted(
         expected, key=lambda name: -expected[name]
@@ -70,11 +72,11 @@ def test_xray_sums_mask_times_distribution(seed: int, threshold: float) -> None:
 
 def test_xray_scores_only_the_candidates_in_their_order() -> None:
     seen = random_view(3, 0.0)
-    full = xray(seen, rng())
+    full = xray(seen, rng()).values
     some = replace(seen, candidates=("d", "b"))
-    np.testing.assert_array_equal(xray(some, rng()), full[[3, 1]])
+    np.testing.assert_array_equal(xray(some, rng()).values, full[[3, 1]])
     nobody = replace(seen, candidates=())
-    assert len(xray(nobody, rng())) == 0
+    assert len(xray(nobody, rng()).values) == 0
     assert order(nobody, xray, rng()) == []
 
 
@@ -112,22 +114,24 @@ def test_xray_takes_the_nearest_where_all_products_are_zero() -> None:
 def test_xray_takes_the_largest_where_there_is_no_support() -> None:
     seen = row_of_objects(np.zeros((1, 16)))
     assert names_of(order(seen, xray, rng())) == ["d", "c", "b", "a"]
-    assert [score for _, score in order(seen, xray, rng())] == [0.0] * 4
+    assert [c.score for c in order(seen, xray, rng())] == [0.0] * 4
 
 
 def test_largest_counts_pixels() -> None:
     seen = random_view(5, 0.0)
     areas = seen.instances.areas()
-    np.testing.assert_array_equal(largest(seen, rng())[:, 0], areas)
+    np.testing.assert_array_equal(largest(seen, rng()).values[:, 0], areas)
     some = replace(seen, candidates=("c", "a"))
     np.testing.assert_array_equal(
-        largest(some, rng())[:, 0], [areas[2], areas[0]]
+        largest(some, rng()).values[:, 0], [areas[2], areas[0]]
     )
 
 
 def test_random_is_uniform_and_follows_its_generator() -> None:
     seen = random_view(6, 0.0)
-    np.testing.assert_array_equal(random(seen, rng(1)), random(seen, rng(1)))
+    np.testing.assert_array_equal(
+        random(seen, rng(1)).values, random(seen, rng(1)).values
+    )
     generator = rng(2)
     first = [names_of(order(seen, random, generator))[0] for _ in range(2000)]
     for name in seen.candidates:
@@ -158,17 +162,44 @@ def test_equal_scores_keep_the_order_of_the_candidates() -> None:
 def test_later_columns_break_ties_only() -> None:
     table = {"a": (1, 9, 0), "b": (2, 0, 0), "c": (1, 9, 5), "d": (2, 1, 0)}
 
-    def ranking(seen: SearchView, generator: np.random.Generator) -> np.ndarray:
-        return np.array([table[name] for name in seen.candidates], float)
+    def ranking(seen: SearchView, generator: np.random.Generator) -> Scores:
+        values = np.array([table[name] for name in seen.candidates], float)
+        return Scores(values, values[:, 1] > 0)
 
     ranked = order(random_view(8, 0.0), ranking, rng())
-    assert ranked == [("d", 2.0), ("b", 2.0), ("c", 1.0), ("a", 1.0)]
+    assert ranked == [
+        ("d", 2.0, True),
+        ("b", 2.0, False),
+        ("c", 1.0, True),
+        ("a", 1.0, True),
+    ]
+
+
+def test_what_hides_the_target() -> None:
+    """For X-Ray a pixel of the distribution; the others cannot tell."""
+    rho = np.zeros((1, 16))
+    rho[0, [0, 2, 5, 6]] = 0.9, 1.0, 0.5, 0.5
+    seen = row_of_objects(rho)
+    assert xray(seen, rng()).hides.tolist() == [False, True, True, False]
+    as_target = replace(seen, target="d")
+    assert xray(as_target, rng()).hides.tolist() == [False, True, True, True]
+    faint = replace(
+        seen, occupancy=OccupancyDistribution(rho, support_threshold=0.5)
+    )
+    assert xray(faint, rng()).hides.tolist() == [False, True, False, False]
+    for ranking in (largest, random):
+        assert ranking(seen, rng()).hides.all()
 
 
 def test_the_target_goes_first_with_the_score_it_has() -> None:
     seen = row_of_objects(np.zeros((1, 16)))
     ranked = order(seen, largest, rng(), target="b")
-    assert ranked == [("b", 2.0), ("d", 4.0), ("c", 3.0), ("a", 1.0)]
+    assert [c[:2] for c in ranked] == [
+        ("b", 2.0),
+        ("d", 4.0),
+        ("c", 3.0),
+        ("a", 1.0),
+    ]
     for absent in ("", "nobody"):
         assert names_of(order(seen, largest, rng(), target=absent)) == [
             "d",

@@ -1,6 +1,6 @@
 """The SearchPolicy alone: inputs fixed, the planner scripted."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from xray_drake.messages import (
 )
 from xray_drake.policy.ranking import (
     Ranking,
+    Scores,
     SearchView,
     largest,
     random,
@@ -274,6 +275,28 @@ def test_what_hides_nothing_is_not_worth_a_good_grasp(
     assert ("box" in planner.names_asked) == (chosen == "box")
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_a_scores_unit_does_not_matter(unit: float) -> None:
+    """Nor where in the order what hides nothing stands."""
+
+    def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
+        values = {"book": 3 * unit, "cup": 2 * unit, "box": unit}
+        hides = {"book": True, "cup": False, "box": True}
+        return Scores(
+            np.array([[values[name]] for name in view.candidates]),
+            np.array([hides[name] for name in view.candidates]),
+        )
+
+    quality = {"book": 0.2, "cup": 0.9, "box": 0.9}
+    planner = Planner(*quality, quality=quality)
+    policy = Policy(planner, ranking=ranking, min_grasp_quality=0.4)
+    assert policy.advance().grasp.object == "box"
+    assert planner.names_asked == ["book", "box"]
+    planner.quality = {**quality, "box": 0.3}
+    policy.fix("status", DONE)
+    assert policy.advance().grasp.object == "book"
+
+
 def test_no_grasp_at_all_is_an_action_too() -> None:
     planner = Planner()
     action = Policy(planner).advance()
@@ -349,8 +372,8 @@ def test_the_target_by_its_rank_is_the_target_too() -> None:
 
 def recorder(
     draws: list[float],
-) -> Callable[[SearchView, np.random.Generator], np.ndarray]:
-    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+) -> Ranking:
+    def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
         draws.append(rng.random())
         return largest(view, rng)
 
@@ -402,8 +425,8 @@ class Inference:
 
 def viewed(
     views: list[SearchView],
-) -> Callable[[SearchView, np.random.Generator], np.ndarray]:
-    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+) -> Ranking:
+    def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
         views.append(view)
         return largest(view, rng)
 
@@ -466,9 +489,10 @@ def test_with_truth_it_knows_where_the_target_is() -> None:
 def test_a_grasp_that_the_ranking_asked_for_is_planned_once() -> None:
     planner = Planner("book", "cup")
 
-    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+    def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
         assert view.plan is not None
-        return np.array([[view.plan(n).quality] for n in view.candidates])
+        values = np.array([[view.plan(n).quality] for n in view.candidates])
+        return Scores(values, np.ones(len(values), bool))
 
     action = Policy(planner, ranking=ranking).advance()
     assert planner.names_asked == ["box", "book", "cup"]
@@ -480,7 +504,7 @@ def test_a_ranking_can_think_objects_away() -> None:
     planner = Planner("book", "cup")
     poses: list[Mapping[str, np.ndarray]] = []
 
-    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+    def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
         assert view.plan is not None
         for without in (("book",), (), ("book",)):
             view.plan("cup", without=without)
@@ -495,7 +519,7 @@ def test_a_ranking_can_think_objects_away() -> None:
 def test_grasps_that_failed_are_excluded_for_the_ranking_too() -> None:
     planner = Planner("book", "cup")
 
-    def ranking(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+    def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
         assert view.plan is not None
         view.plan("book", without=("cup",))
         return largest(view, rng)

@@ -300,14 +300,8 @@ def _example(
     ious: Mapping[str, float],
 ) -> "Example":
     from xray_drake.drawing.predictions import Example
-    from xray_drake.messages import OccupancyDistribution
 
-    predictions = {}
-    for name, predictor in predictors.items():
-        answer = predictor(sample)
-        predictions[name] = (
-            answer.data if isinstance(answer, OccupancyDistribution) else answer
-        )
+    predictions = {name: ask(sample) for name, ask in predictors.items()}
     return Example(sample=sample, predictions=predictions, ious=ious)
 
 

@@ -10,9 +10,7 @@ from matplotlib.figure import Figure
 
 from xray_drake.drawing.colors import overlay
 from xray_drake.drawing.sample_figure import SampleLike, depth_picture
-
-FAINTEST = 0.02
-"""Smaller values are not drawn: the support of networks ends there."""
+from xray_drake.messages import OccupancyDistribution
 
 _MODAL_LINE = "#ff00b4"
 _AMODAL_LINE = "#ffffff"
@@ -24,12 +22,12 @@ class Example:
 
     Attributes:
         sample: with its label.
-        predictions: predictor to (H, W) in [0, 1].
+        predictions: predictor to its answer.
         ious: predictor to the IoU of its prediction; NaN if undefined.
     """
 
     sample: SampleLike
-    predictions: Mapping[str, np.ndarray]
+    predictions: Mapping[str, OccupancyDistribution]
     ious: Mapping[str, float]
 
 
@@ -60,7 +58,7 @@ def prediction_figure(examples: Sequence[Example]) -> Figure:
     From left to right: depth, near is bright, with the outline of what is
     seen of the target (magenta); the label; the predictions. Distributions lie
     over the depth, dark violet to yellow, with the outline of the whole target
-    (white). Values up to :data:`FAINTEST` are not drawn.
+    (white). Only their support is drawn.
 
     Args:
         examples: at least one, all with predictions of the same predictors.
@@ -92,13 +90,12 @@ def prediction_figure(examples: Sequence[Example]) -> Figure:
         _show(axes[0], gray, str(sample.key))
         _outline(axes[0], sample.target_modal, _MODAL_LINE)
         label = f"label, target {sample.visible_fraction:.0%} visible"
-        shown = {label: sample.occupancy} | {
+        shown = {label: OccupancyDistribution(sample.occupancy)} | {
             f"{name}, IoU {example.ious[name]:.3f}": example.predictions[name]
             for name in names
         }
-        for axis, (title, values) in zip(axes[1:], shown.items(), strict=True):
-            drawn = np.where(values > FAINTEST, values, 0.0)
-            _show(axis, overlay(gray, drawn), title)
+        for axis, (title, answer) in zip(axes[1:], shown.items(), strict=True):
+            _show(axis, overlay(gray, answer.supported()), title)
             _outline(axis, sample.target_amodal, _AMODAL_LINE)
     return figure
 

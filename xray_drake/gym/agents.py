@@ -26,7 +26,6 @@ def xray_agent(
     rng: np.random.Generator | None = None,
     *,
     target_first: bool = True,
-    support_threshold: float = 0.0,
 ) -> int:
     """X-Ray: the valid mask with most of the distribution (paper section V).
 
@@ -35,21 +34,21 @@ def xray_agent(
     what hides it, which is not among the valid ones.
 
     Args:
-        observation: with ``occupancy``: make the environment with
-            ``observe_occupancy=True``.
+        observation: with ``occupancy`` and ``support``: make the environment
+            with ``observe_occupancy=True``.
         rng: not used; so that agents can take each other's place.
         target_first: grasp the target whenever that is valid.
-        support_threshold: values above it are support: 0 for exact inference,
-            0.02 for networks.
 
     Raises:
-        KeyError: the observation has no ``occupancy``.
+        KeyError: the observation has no ``occupancy`` or ``support``.
     """
     labels = np.asarray(observation["instances"])
     names = tuple(str(i) for i in range(labels.max(initial=-1) + 1))
     instances = InstanceMasks(labels, names)
     valid = tuple(str(i) for i in np.flatnonzero(observation["action_mask"]))
-    rho = OccupancyDistribution(observation["occupancy"], support_threshold)
+    rho = OccupancyDistribution(
+        np.where(observation["support"], observation["occupancy"], 0)
+    )
     target = target_instance(instances, TargetMask(observation["target_mask"]))
     view = SearchView(rho, instances, valid, target)
     ranked = order(
@@ -58,4 +57,4 @@ def xray_agent(
         rng or np.random.default_rng(0),
         target=target if target_first else "",
     )
-    return int(ranked[0][0]) if ranked else 0
+    return int(ranked[0].name) if ranked else 0

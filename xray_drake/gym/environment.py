@@ -64,7 +64,8 @@ class MechanicalSearchEnv(DrakeGymEnv):
       the mask, 0 the largest;
     - ``action_mask``: (n,) int8, 1 for each action that is valid; all 0 once
       the search has terminated;
-    - ``occupancy``, if asked for: (H, W) float32 in [0, 1].
+    - ``occupancy``, if asked for: (H, W) float32 in [0, 1];
+    - ``support``, with it: (H, W) uint8, 1 where the distribution counts.
 
     **Action**: the number of the mask to be grasped. The grasp on it is planned
     and executed as for every policy. A mask is *valid* if at least
@@ -123,7 +124,8 @@ class MechanicalSearchEnv(DrakeGymEnv):
             reward: a name in ``REWARDS``, or a function like those.
             gamma: the discount factor γ of ``discounted_return``; the paper
                 only says 0 < γ < 1.
-            observe_occupancy: adds the distribution to the observation.
+            observe_occupancy: adds the distribution and its support to the
+                observation.
             drop: makes the heap of a scenario: by default it is dropped, which
                 takes seconds; a function that remembers heaps saves that.
             render_mode: None; "rgb_array", the camera's picture; or "human",
@@ -168,6 +170,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         }
         if observe_occupancy:
             images["occupancy"] = spaces.Box(0.0, 1.0, shape, np.float32)
+            images["support"] = spaces.Box(0, 1, shape, np.uint8)
         # Drake's constructor writes modes of its own into what it finds here.
         self.metadata = copy.deepcopy(self.metadata)  # type: ignore[misc]
         super().__init__(
@@ -376,7 +379,9 @@ class MechanicalSearchEnv(DrakeGymEnv):
             "action_mask": self._valid,
         }
         if self._observe_occupancy:
-            observation["occupancy"] = np.array(self._occupancy().data)
+            rho = self._occupancy()
+            observation["occupancy"] = np.array(rho.data)
+            observation["support"] = rho.support().astype(np.uint8)
         return observation
 
     def _number(self, instances: InstanceMasks) -> np.ndarray:

@@ -59,7 +59,7 @@ class SearchDrawing:
         time = context.get_time()
         self._hide(time)
         self._step = f"{ROOT}/step_{action.number:02d}"
-        values = rho.data * rho.support()
+        values = rho.supported()
         draw_occupancy(
             self._meshcat, f"{self._step}/occupancy", values, depth, camera
         )

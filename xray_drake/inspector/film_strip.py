@@ -57,7 +57,7 @@ class FilmStrip:
         self.frames.append(
             Frame(
                 color=np.array(look(f"{name}.color_image").data[:, :, :3]),
-                occupancy=rho.data * rho.support(),
+                occupancy=rho.supported(),
                 chosen=chosen,
                 title=f"{action.number}: {what}",
                 note=f"support {action.support} px",

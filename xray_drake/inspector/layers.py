@@ -53,7 +53,7 @@ class Layer:
 
 
 def _draw_occupancy(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
-    values = shot.occupancy.data * shot.occupancy.support()
+    values = shot.occupancy.supported()
     draw_occupancy(meshcat, path, values, shot.depth, shot.camera)
 
 

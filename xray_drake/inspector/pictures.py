@@ -71,7 +71,7 @@ def heap_picture(diagram: SearchDiagram) -> np.ndarray:
             mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
         )
         cv2.drawContours(chosen, outlines, -1, (255, 220, 0), 3)
-    return np.hstack([color, overlay(color, rho.data), chosen])
+    return np.hstack([color, overlay(color, rho.supported()), chosen])
 
 
 def diagram_picture(diagram: SearchDiagram, path: Path) -> None:

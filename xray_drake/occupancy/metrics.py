@@ -170,16 +170,12 @@ def mass_on_mask(prediction: np.ndarray, mask: np.ndarray) -> float:
     return float(p[inside].sum() / total) if total > 0 else float("nan")
 
 
-def share_in_support(
-    prediction: np.ndarray, mask: np.ndarray, threshold: float = 0.0
-) -> float:
-    """Returns the share of a mask's pixels where the prediction is larger.
+def share_in_support(support: np.ndarray, mask: np.ndarray) -> float:
+    """Returns the share of a mask's pixels that are support.
 
     Args:
-        prediction: (H, W) in [0, 1].
+        support: (H, W) bool, the prediction's.
         mask: (H, W) bool; the true amodal mask.
-        threshold: the support is what lies above it: 0 for exact inference,
-            0.02 for networks (PROTOCOL.md, "Rollout").
 
     Returns:
         In [0, 1]; NaN for a blank mask.
@@ -187,10 +183,10 @@ def share_in_support(
     Raises:
         ValueError: the shapes differ.
     """
-    p, inside = _alike(prediction, mask, bool)
+    held, inside = _alike(support, mask, bool)
     if not inside.any():
         return float("nan")
-    return float(np.mean(p[inside] > threshold))
+    return float(np.mean(held[inside] > 0))
 
 
 def calibration_counts(

@@ -15,7 +15,7 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.policy.planning import FailedGrasp
-from xray_drake.policy.ranking import SearchView, candidates
+from xray_drake.policy.ranking import Ranked, SearchView, candidates
 from xray_drake.policy.system import Decision, SearchPolicy
 
 
@@ -112,10 +112,10 @@ class ChoicePolicy(SearchPolicy):
 
     def _ranked(
         self, context: Context, view: SearchView, number: int
-    ) -> list[tuple[str, float]]:
+    ) -> list[Ranked]:
         name = self._chosen(context).object
         valid = self._options.Eval(context).valid
-        return [(name, 0.0)] if name in valid else []
+        return [Ranked(name, 0.0, hides=True)] if name in valid else []
 
     def _decide(
         self, context: Context, number: int, failed: tuple[FailedGrasp, ...]

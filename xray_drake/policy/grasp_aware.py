@@ -10,6 +10,7 @@ from xray_drake.policy.ranking import (
     Outlook,
     Planning,
     Ranking,
+    Scores,
     SearchView,
     xray,
 )
@@ -43,7 +44,8 @@ class GraspAware:
     then to grasp the target, as expected from the chances of both grasps; the
     target's own is the chance of its grasp. Where no single removal makes a
     grasp possible, the object is next that takes most of the place of the
-    target and of the fingers beside it.
+    target and of the fingers beside it. What is in the way so, or what X-Ray
+    says hides the target, is worth a weak grasp.
 
     While the target is not a candidate, another ranking decides.
     """
@@ -62,9 +64,7 @@ class GraspAware:
         self._search = search
         self.config = config or GraspAwareConfig()
 
-    def __call__(
-        self, view: SearchView, rng: np.random.Generator
-    ) -> np.ndarray:
+    def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
         """Scores the candidates; see :class:`Ranking`.
 
         Raises:
@@ -79,7 +79,10 @@ class GraspAware:
         own = np.array(
             [[values.get(n, 0.0), places[n]] for n in view.candidates]
         )
-        return np.hstack([own, xray(view, rng)])
+        base = xray(view, rng)
+        return Scores(
+            np.hstack([own, base.values]), base.hides | (own > 0).any(axis=1)
+        )
 
     def _values(
         self, view: SearchView, outlook: Outlook, plan: Planning
@@ -111,7 +114,7 @@ class GraspAware:
     def _places(self, view: SearchView, outlook: Outlook) -> dict[str, float]:
         """Returns how much of target's and fingers' places each takes."""
         config = self.config
-        rho = np.where(view.occupancy.support(), view.occupancy.data, 0)
+        rho = view.occupancy.supported()
         probable = (rho > config.probable) | outlook.target_mask
         room = _distance(probable) <= config.finger * outlook.camera.floor_scale
         places = np.maximum(rho, config.room * room)

@@ -7,7 +7,13 @@ import numpy as np
 
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.policy.chance import USUAL, chance
-from xray_drake.policy.ranking import Outlook, Planning, SearchView, xray
+from xray_drake.policy.ranking import (
+    Outlook,
+    Planning,
+    Scores,
+    SearchView,
+    xray,
+)
 from xray_drake.policy.removal import Removal
 
 
@@ -53,9 +59,7 @@ class Lookahead:
         """Sets the numbers."""
         self.config = config or LookaheadConfig()
 
-    def __call__(
-        self, view: SearchView, rng: np.random.Generator
-    ) -> np.ndarray:
+    def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
         """Scores the candidates; see :class:`Ranking`.
 
         Raises:
@@ -70,8 +74,10 @@ class Lookahead:
             values = {target: certain * view.occupancy.support_size()}
         else:
             values = self._values(view, view.outlook, view.plan)
-        scores = [[values.get(name, 0.0)] for name in view.candidates]
-        return np.hstack([np.reshape(scores, (-1, 1)), base])
+        own = [[values.get(name, 0.0)] for name in view.candidates]
+        return Scores(
+            np.hstack([np.reshape(own, (-1, 1)), base.values]), base.hides
+        )
 
     def _values(
         self, view: SearchView, outlook: Outlook, plan: Planning
@@ -162,7 +168,7 @@ class _Imagined:
     ) -> None:
         self._outlook = outlook
         self._removal = Removal(depth, outlook.camera)
-        self._mass = np.where(occupancy.support(), occupancy.data, 0)
+        self._mass = occupancy.supported()
         self.size = float(occupancy.support_size())
         scale = outlook.camera.floor_scale
         length, width, self._thickness = outlook.target_size

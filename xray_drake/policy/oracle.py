@@ -3,10 +3,10 @@
 import numpy as np
 
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.policy.ranking import SearchView, xray
+from xray_drake.policy.ranking import Scores, SearchView, xray
 
 
-def oracle(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+def oracle(view: SearchView, rng: np.random.Generator) -> Scores:
     """Oracle: overlap with the target's true amodal mask (PROTOCOL.md).
 
     It is X-Ray given the truth as its distribution, ties included. It says how
@@ -19,7 +19,7 @@ def oracle(view: SearchView, rng: np.random.Generator) -> np.ndarray:
         rng: see :func:`~xray_drake.policy.ranking.xray`.
 
     Returns:
-        (n, 3) scores, as of :func:`~xray_drake.policy.ranking.xray`.
+        As of :func:`~xray_drake.policy.ranking.xray`.
 
     Raises:
         ValueError: the view does not say where the target is.

@@ -2,13 +2,16 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Grasp, InstanceMasks, OccupancyDistribution
+
+_LEAST_HIDDEN = 1.0
+"""An object with less of the distribution under it hides nothing, pixels."""
 
 
 class Planning(Protocol):
@@ -81,25 +84,51 @@ class SearchView:
     true_mask: np.ndarray | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What a ranking says of n candidates.
+
+    Attributes:
+        values: (n, k) float; the highest is grasped first. The first column is
+            the score, in a unit of the ranking's own; each next one decides
+            where the columns before it are equal.
+        hides: (n,) bool: the candidate hides the target as far as the ranking
+            can tell, or keeps the gripper from it, or is the target itself. A
+            weak grasp on such an object is preferred to a good one on an
+            object that does not.
+    """
+
+    values: np.ndarray
+    hides: np.ndarray
+
+
 class Ranking(Protocol):
     """Scores candidates; the highest is grasped first."""
 
-    def __call__(
-        self, view: SearchView, rng: np.random.Generator
-    ) -> np.ndarray:
+    def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
         """Scores the candidates.
 
         Args:
             view: what is seen.
             rng: a generator of this decision alone.
-
-        Returns:
-            (len(view.candidates), k) scores; the first column decides, each
-            next one where the columns before it are equal.
         """
 
 
-def xray(view: SearchView, rng: np.random.Generator) -> np.ndarray:
+class Ranked(NamedTuple):
+    """A candidate in its place.
+
+    Attributes:
+        name: of the candidate.
+        score: the ranking's.
+        hides: see :class:`Scores`.
+    """
+
+    name: str
+    score: float
+    hides: bool
+
+
+def xray(view: SearchView, rng: np.random.Generator) -> Scores:
     """X-Ray: sum of mask × distribution (paper section V).
 
     The paper does not say what happens where all products are zero: as when
@@ -112,12 +141,11 @@ def xray(view: SearchView, rng: np.random.Generator) -> np.ndarray:
         rng: not used.
 
     Returns:
-        (n, 3) scores: the sum; minus the distance to the support, pixels; the
-        visible pixels.
+        (n, 3) values: the sum; minus the distance to the support, pixels; the
+        visible pixels. An object whose sum is a pixel or more hides something.
     """
     masks = [view.instances.mask(name) for name in view.candidates]
-    rho = view.occupancy.data
-    support = view.occupancy.support()
+    rho, support = view.occupancy.supported(), view.occupancy.support()
     if support.any():
         away = cv2.distanceTransform(
             (~support).astype(np.uint8), cv2.DIST_L2, 5
@@ -126,26 +154,38 @@ def xray(view: SearchView, rng: np.random.Generator) -> np.ndarray:
         away = np.zeros(rho.shape, np.float32)
     rows = [
         (
-            float(np.where(mask & support, rho, 0).sum(dtype=float)),
+            float(np.where(mask, rho, 0).sum(dtype=float)),
             -float(away[mask].min()),
             float(np.count_nonzero(mask)),
         )
         for mask in masks
     ]
-    return np.array(rows).reshape(len(rows), 3)
+    values = np.array(rows).reshape(len(rows), 3)
+    target = np.array([name == view.target for name in view.candidates], bool)
+    return Scores(values, (values[:, 0] >= _LEAST_HIDDEN) | target)
 
 
-def largest(view: SearchView, rng: np.random.Generator) -> np.ndarray:
-    """Largest: visible pixels (Danielczuk et al. 2019), (n, 1) scores."""
+def largest(view: SearchView, rng: np.random.Generator) -> Scores:
+    """Largest: visible pixels (Danielczuk et al. 2019), (n, 1) values.
+
+    It does not look at the distribution: each object may hide the target.
+    """
     areas = dict(zip(view.instances.names, view.instances.areas(), strict=True))
-    return np.array([[float(areas[name])] for name in view.candidates]).reshape(
-        -1, 1
-    )
+    values = [float(areas[name]) for name in view.candidates]
+    return _regardless(np.array(values))
 
 
-def random(view: SearchView, rng: np.random.Generator) -> np.ndarray:
-    """Random: uniform (Danielczuk et al. 2019), (n, 1) scores in [0, 1)."""
-    return rng.uniform(size=(len(view.candidates), 1))
+def random(view: SearchView, rng: np.random.Generator) -> Scores:
+    """Random: uniform (Danielczuk et al. 2019), (n, 1) values in [0, 1).
+
+    It does not look at the distribution: each object may hide the target.
+    """
+    return _regardless(rng.uniform(size=len(view.candidates)))
+
+
+def _regardless(values: np.ndarray) -> Scores:
+    """Returns (n,) values as of a ranking that asks not what hides what."""
+    return Scores(values.reshape(-1, 1), np.ones(len(values), bool))
 
 
 RANKINGS: Mapping[str, Ranking] = {
@@ -171,8 +211,8 @@ def order(
     rng: np.random.Generator,
     *,
     target: str = "",
-) -> list[tuple[str, float]]:
-    """Returns the candidates with their scores, the best first.
+) -> list[Ranked]:
+    """Returns the candidates with what the ranking says, the best first.
 
     Args:
         view: what is seen.
@@ -193,10 +233,14 @@ def order(
         return []
     scores = ranking(view, rng)
     # lexsort: its last key decides first; stable, so equals keep their order.
-    keys: Sequence[np.ndarray] = [-column for column in scores.T[::-1]]
-    names = [view.candidates[i] for i in np.lexsort(keys)]
-    by_name = dict(zip(view.candidates, scores[:, 0].tolist(), strict=True))
-    if target in names:
-        names.remove(target)
-        names.insert(0, target)
-    return [(name, by_name[name]) for name in names]
+    keys: Sequence[np.ndarray] = [-column for column in scores.values.T[::-1]]
+    ranked = [
+        Ranked(
+            view.candidates[i],
+            float(scores.values[i, 0]),
+            bool(scores.hides[i]),
+        )
+        for i in np.lexsort(keys)
+    ]
+    # Stable as well.
+    return sorted(ranked, key=lambda candidate: candidate.name != target)

@@ -42,15 +42,13 @@ from xray_drake.policy.planning import (
 from xray_drake.policy.ranking import (
     Outlook,
     Planning,
+    Ranked,
     Ranking,
     SearchView,
     candidates,
     order,
 )
 from xray_drake.seeding import stream
-
-_POINTLESS = 1.0
-"""Below this score, in pixels of the distribution, an object hides nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +156,8 @@ class SearchPolicy(LeafSystem):
             target_first: grasp the target whenever there is a grasp on it.
             min_visible_pixels: objects with fewer are not candidates.
             min_grasp_quality: a weaker grasp is taken only where no candidate
-                that hides something (a score of a pixel or more) has one as
-                good as this; then the first of the weak ones is.
+                that hides the target, as the ranking says, has one as good as
+                this; then the first of the weak ones is.
             foresight: for rankings that imagine removals.
             truth: for rankings that know where the target is.
             seed: of the ranking's random generator.
@@ -260,8 +258,8 @@ class SearchPolicy(LeafSystem):
 
     def _ranked(
         self, context: Context, view: SearchView, number: int
-    ) -> list[tuple[str, float]]:
-        """Returns the candidates with their scores, the best first."""
+    ) -> list[Ranked]:
+        """Returns the candidates, the best first."""
         return order(
             view,
             self._ranking,
@@ -299,11 +297,11 @@ class SearchPolicy(LeafSystem):
             number=number,
             grasp=grasp,
             is_target=bool(grasp) and grasp.object == target,
-            ranking=tuple(name for name, _ in ranked),
-            scores=tuple(score for _, score in ranked),
+            ranking=tuple(candidate.name for candidate in ranked),
+            scores=tuple(candidate.score for candidate in ranked),
             score=score,
             support=occupancy.support_size(),
-            support_01=occupancy.support_size(0.1),
+            support_01=occupancy.support_01_size(),
             target_pixels=int(np.count_nonzero(target_mask.data)),
             seconds=(
                 ("perception", seen - start),
@@ -394,15 +392,22 @@ class SearchPolicy(LeafSystem):
         return {name: grasp for name, grasp in planned.items() if grasp}
 
     def _first_grasp(
-        self, ranked: Sequence[tuple[str, float]], plan: Planning
+        self, ranked: Sequence[Ranked], plan: Planning
     ) -> tuple[Grasp, float]:
+        """Returns the grasp to be taken, and its object's score.
+
+        The first that is good enough. While only a weak one is found it waits
+        for one on the others; but if it is on what hides the target, not for
+        those on what does not.
+        """
         weak: tuple[Grasp, float] = (Grasp(), 0.0)
-        for name, score in ranked:
-            if weak[0] and score < _POINTLESS <= weak[1]:
-                return weak
+        worth_it = False
+        for name, score, hides in ranked:
+            if worth_it and not hides:
+                continue
             grasp = plan(name)
             if grasp and grasp.quality >= self._min_quality:
                 return grasp, score
             if grasp and not weak[0]:
-                weak = grasp, score
+                weak, worth_it = (grasp, score), hides
         return weak

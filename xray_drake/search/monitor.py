@@ -311,7 +311,7 @@ class SearchMonitor:
         elif end:
             rho: OccupancyDistribution = self._occupancy.Eval(context)
             action.support_after = rho.support_size()
-            action.support_01_after = rho.support_size(0.1)
+            action.support_01_after = rho.support_01_size()
         for observer in self._observers:
             observer.ended(self._diagram, context, action)
 

@@ -36,9 +36,8 @@ from xray_drake.occupancy.metrics import (
 )
 from xray_drake.seeding import stream
 
-Predictor = Callable[[Sample], np.ndarray | OccupancyDistribution]
-"""Answers a sample with a distribution of its size: an (H, W) array in [0, 1],
-or a message that says as well above which value it is support."""
+Predictor = Callable[[Sample], OccupancyDistribution]
+"""Answers a sample with a distribution of its size."""
 
 HELD = 0.95
 """Share of the true amodal mask that the support must hold to contain it."""
@@ -226,7 +225,6 @@ def evaluate(
     samples: Iterable[Sample],
     predictors: Mapping[str, Predictor],
     *,
-    support_threshold: float = 0.0,
     bins: int = BINS,
     resamples: int = 2000,
     seed: int = 0,
@@ -238,7 +236,6 @@ def evaluate(
     Args:
         samples: at least one.
         predictors: by the name that results go by; at least one.
-        support_threshold: of predictions that are arrays.
         bins: of predicted values, for calibration.
         resamples: draws of the bootstrap.
         seed: of the bootstrap.
@@ -262,10 +259,7 @@ def evaluate(
             start = time.perf_counter()
             answer = predictor(sample)
             seconds = time.perf_counter() - start
-            if isinstance(answer, OccupancyDistribution):
-                data, threshold = answer.data, answer.support_threshold
-            else:
-                data, threshold = np.asarray(answer), support_threshold
+            data = answer.data
             _check(data, sample, name)
             records[name].append(
                 ImageRecord(
@@ -274,7 +268,7 @@ def evaluate(
                     counts=pixel_counts(sample.occupancy, data),
                     target_mass=mass_on_mask(data, sample.target_amodal),
                     support_share=share_in_support(
-                        data, sample.target_amodal, threshold
+                        answer.support(), sample.target_amodal
                     ),
                     calibration=calibration_counts(
                         data, sample.target_amodal, bins=bins
