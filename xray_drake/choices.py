@@ -31,6 +31,9 @@ OCCUPANCIES = ("learned", "posterior", "exact", "expected")
 WITHOUT_NETWORK = ("exact", "expected")
 """Those of the occupancies that need no weights."""
 
+DTYPES = ("float32", "bfloat16")
+"""What networks can compute in; the first by default."""
+
 GRASPS = ("models", "depth")
 EXECUTIONS = ("quasi_static", "contact")
 

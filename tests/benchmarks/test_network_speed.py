@@ -13,6 +13,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, occluders
+from xray_drake.choices import DTYPES
 from xray_drake.occupancy.learned import default_weights, load_inference
 from xray_drake.occupancy.networks.build import build_network, channels_last
 from xray_drake.occupancy.networks.weights import read_card
@@ -29,18 +30,14 @@ def two_threads() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("seen", [False, True], ids=["hidden", "seen"])
-@pytest.mark.parametrize("output", ["occupancy", "posterior"])
+@pytest.mark.parametrize("dtype", DTYPES)
 def test_inference_of_an_image(
-    benchmark: BenchmarkFixture, output: str, seen: bool
+    benchmark: BenchmarkFixture, dtype: str, seen: bool
 ) -> None:
     camera = CAMERAS["nominal"]
     rng = np.random.default_rng(0)
     depth, _ = render(camera, occluders(rng, 14, np.zeros(2), 0.045, 0.017))
-    inference = load_inference(
-        default_weights(),
-        target_size=SIZE,
-        output=output,  # type: ignore[arg-type]
-    )
+    inference = load_inference(default_weights(), target_size=SIZE, dtype=dtype)
     mask = np.zeros(camera.shape, bool)
     mask[200:206, 250:256] = seen
     answer = benchmark(inference.infer, depth, mask, camera)

@@ -66,6 +66,7 @@ class _Networks(ModuleType):
     def __init__(self) -> None:
         super().__init__("xray_drake.occupancy.learned")
         self.loaded: list[tuple[str, tuple[float, ...]]] = []
+        self.dtypes: set[str] = set()
         self.depths: list[np.ndarray] = []
         self.cameras: list[PinholeCamera] = []
 
@@ -76,10 +77,12 @@ class _Networks(ModuleType):
         target_size: np.ndarray,
         scaling: bool = True,
         output: str = "occupancy",
+        dtype: str = "float32",
     ) -> Any:
         if path.stem == "gone":
             raise ValueError(f"{path} holds no weights")
         self.loaded.append((path.stem, tuple(target_size.tolist())))
+        self.dtypes.add(dtype)
 
         def infer(
             depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
@@ -111,6 +114,24 @@ def test_a_network_with_and_without_scaling(
     rows = _rows(result.stdout)
     assert rows["all, 4", "modal"][:2] == ["100.0%", "1.000"]
     assert rows["all, 4", "modal, unscaled"][1] == "0.000"
+
+
+def test_what_a_network_computes_in(
+    folder: Path, networks: _Networks, tmp_path: Path
+) -> None:
+    for options, expected in (
+        ((), "float32"),
+        (("--dtype", "bfloat16"), "bfloat16"),
+    ):
+        networks.dtypes.clear()
+        path = tmp_path / "out.json"
+        result = _run(
+            *(folder, "--weights", "modal", "--no-exact", "--json", path),
+            *options,
+        )
+        assert result.exit_code == 0
+        assert networks.dtypes == {expected}
+        assert json.loads(path.read_text())["dtype"] == expected
 
 
 def test_a_networks_posterior(folder: Path, networks: _Networks) -> None:

@@ -81,6 +81,20 @@ def test_projecting_undoes_unprojecting(
     np.testing.assert_allclose(uvz[..., 2], depth, rtol=1e-12)
 
 
+def test_a_zoomed_camera_sees_points_nearer_to_the_middle() -> None:
+    camera = PinholeCamera(
+        96, 64, np.array([[105.0, 0, 47], [0, 110, 35], [0, 0, 1]]), np.eye(4)
+    )
+    points = np.array([[0.1, -0.05, 0.8], [-0.2, 0.1, 1.1], [0, 0, 0.5]])
+    before, after = camera.project(points), camera.zoomed(0.4).project(points)
+    middle = np.array([47.5, 31.5])
+    np.testing.assert_allclose(
+        after[:, :2] - middle, 0.4 * (before[:, :2] - middle), atol=1e-12
+    )
+    np.testing.assert_array_equal(after[:, 2], before[:, 2])
+    assert camera.zoomed(0.4).shape == camera.shape
+
+
 @settings(deadline=None, max_examples=60)
 @given(cameras())
 def test_rays_have_unit_depth(camera: PinholeCamera) -> None:

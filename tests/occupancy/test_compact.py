@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from xray_drake.occupancy.networks.build import build_network, fast_dtype
+from xray_drake.occupancy.networks.build import build_network
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
 from xray_drake.occupancy.networks.inputs import (
     COARSE,
@@ -269,30 +269,3 @@ def test_what_cannot_be_built_is_one_line(
     with pytest.raises(ValueError, match=words) as error:
         build_network(architecture, options)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("found", "expected"),
-    [
-        ({}, torch.float32),
-        ({"avx512_f": True, "avx512_bf16": False}, torch.float32),
-        ({"avx512_bf16": True, "amx_bf16": False}, torch.bfloat16),
-        ({"avx512_bf16": False, "amx_bf16": True}, torch.bfloat16),
-    ],
-)
-def test_the_type_is_what_the_processor_is_fast_in(
-    monkeypatch: pytest.MonkeyPatch,
-    found: dict[str, bool],
-    expected: torch.dtype,
-) -> None:
-    monkeypatch.setattr(
-        torch.cpu, "get_capabilities", lambda: found, raising=False
-    )
-    assert fast_dtype() == expected
-
-
-def test_a_torch_that_does_not_know_the_processor_computes_in_float32(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)
-    assert fast_dtype() == torch.float32

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import TargetMask
-from xray_drake.occupancy import learned
 from xray_drake.occupancy.learned import (
     SUPPORT_THRESHOLD,
     LearnedInference,
@@ -24,6 +23,7 @@ from xray_drake.occupancy.learned import (
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
 from xray_drake.occupancy.networks.inputs import (
+    COARSE,
     FINE,
     geometry_input,
     size_features,
@@ -132,20 +132,20 @@ class Mirror(nn.Module):
 @pytest.mark.parametrize("size", [SIZE, np.array([0.1, 0.08, 0.012])])
 @pytest.mark.parametrize(
     ("dtype", "most", "mean"),
-    [(torch.float32, 1e-5, 1e-6), (torch.bfloat16, 0.05, 5e-3)],
+    [("float32", 1e-5, 1e-6), ("bfloat16", 0.05, 5e-3)],
 )
 def test_the_answer_is_that_of_the_network_on_disk(
     path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     output: Any,
     size: np.ndarray,
-    dtype: torch.dtype,
+    dtype: str,
     most: float,
     mean: float,
 ) -> None:
-    monkeypatch.setattr(learned, "fast_dtype", lambda: dtype)
     save(path)
-    inference = load_inference(path, target_size=size, output=output)
+    inference = load_inference(
+        path, target_size=size, output=output, dtype=dtype
+    )
     distribution = inference.infer(*scene(), CAMERA)
     data = distribution.data
     assert data.shape == SHAPE
@@ -162,20 +162,35 @@ def test_the_answer_is_that_of_the_network_on_disk(
     np.testing.assert_array_equal(again.data, data)
 
 
-@pytest.mark.parametrize("machines", [torch.float32, torch.bfloat16])
-def test_a_network_computes_in_the_type_that_is_asked_for(
-    monkeypatch: pytest.MonkeyPatch, machines: torch.dtype
+@pytest.mark.parametrize("capable", [True, False])
+def test_a_processor_does_not_choose_the_type(
+    monkeypatch: pytest.MonkeyPatch, capable: bool
 ) -> None:
-    monkeypatch.setattr(learned, "fast_dtype", lambda: machines)
+    monkeypatch.setattr(
+        torch.cpu,
+        "get_capabilities",
+        lambda: {"avx512_bf16": capable, "amx_bf16": capable},
+        raising=False,
+    )
     exact = by_hand(network(), "occupancy")
-    errors = {}
-    for dtype in (torch.float32, torch.bfloat16, None):
-        inference = LearnedInference(network(), card(), SIZE, dtype=dtype)
-        data = inference.infer(*scene(), CAMERA).data
-        errors[dtype] = np.abs(data - exact).max()
-    assert errors[torch.float32] < 1e-5
-    assert 1e-3 < errors[torch.bfloat16] < 0.05
-    assert errors[None] == errors[machines]
+    inference = LearnedInference(network(), card(), SIZE)
+    data = inference.infer(*scene(), CAMERA).data
+    assert np.abs(data - exact).max() < 1e-5
+
+
+def test_a_network_computes_in_the_type_that_is_asked_for() -> None:
+    exact = by_hand(network(), "occupancy")
+    inference = LearnedInference(network(), card(), SIZE, dtype="bfloat16")
+    data = inference.infer(*scene(), CAMERA).data
+    assert 1e-3 < np.abs(data - exact).max() < 0.05
+
+
+def test_types_that_a_network_cannot_compute_in() -> None:
+    with pytest.raises(ValueError, match="'float16': float32, bfloat16"):
+        LearnedInference(network(), card(), SIZE, dtype="float16")
+    papers = card(architecture="fcn_resnet50", input="augmented_depth")
+    with pytest.raises(ValueError, match="fcn_resnet50 computes in float32"):
+        LearnedInference(Mirror(), papers, SIZE, dtype="bfloat16")
 
 
 def test_the_two_outputs_differ(path: Path) -> None:
@@ -275,6 +290,30 @@ def test_a_network_of_one_box_sees_every_target_as_large_as_that(
         # It knows one length and one width, but every thickness.
         told = size_features(np.array([*box[:2], size[2]]), mask, CAMERA)
         np.testing.assert_allclose(net.size[0, :3], told[:3], rtol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.6, 2.0])
+def test_a_bare_floor_stays_one_when_it_is_scaled(factor: float) -> None:
+    """Heights are those of the camera that would have seen the scaled image."""
+    net = Mirror()
+    size = np.array([factor * 0.06, factor * 0.015, 0.005])
+    inference = LearnedInference(
+        net, card(box_size=(0.042, 0.0214, 0.005)), size
+    )
+    depth = CAMERA.plane_depth(0.0).astype(np.float32)
+    inference.infer(depth, np.zeros(SHAPE, bool), CAMERA)
+    cover = net.image[0, FINE.index("cover")].numpy()
+    assert cover.max() == 0
+    coarse = dict(zip(COARSE, net.coarse[0].numpy(), strict=True))
+    heights = coarse["height"][coarse["reading"] == 1]
+    assert np.ptp(heights) < 0.01
+    # The floor's outline is as much smaller as the image.
+    unscaled = geometry_input(depth, depth > 9, CAMERA, 0.01).coarse
+    share = coarse["floor"].sum() / unscaled[COARSE.index("floor")].sum()
+    if factor > 1:
+        assert share == pytest.approx(factor**-2, rel=0.15)  # coarse
+    else:
+        assert share > 1.5  # part of it is outside the scaled image
 
 
 def test_a_network_of_all_sizes_sees_the_image_as_it_is() -> None:

@@ -64,9 +64,7 @@ def asked(part: nn.Module, mask: np.ndarray) -> tuple[torch.Tensor, ...]:
 
 
 def infer(net: WindowedNet, *, seen: bool, **options: Any) -> np.ndarray:
-    inference = LearnedInference(
-        net, CARD, SIZE, dtype=torch.float32, **options
-    )
+    inference = LearnedInference(net, CARD, SIZE, **options)
     return inference.infer(*scene(seen=seen), CAMERA).data
 
 

@@ -23,7 +23,7 @@ ACTION_KEYS = {
 GRASP_KEYS = {"kind", "X_WG", "width", "quality"}
 """As DESIGN.md has them."""
 
-OUR_RECORD_KEYS = {"start", "target_first", "scenario"}
+OUR_RECORD_KEYS = {"start", "target_first", "dtype", "scenario"}
 OUR_ACTION_KEYS = {
     "reason",
     "true_mask_in_support",

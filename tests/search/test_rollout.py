@@ -289,6 +289,17 @@ def test_the_same_scenario_gives_the_same_record(
     assert stripped(run_search(other)) == stripped(found)
 
 
+def test_the_record_says_what_the_network_computes_in(
+    tiny_diagram: SearchDiagram, tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    tiny_scenario.perception.occupancy = "learned"
+    tiny_scenario.perception.dtype = "bfloat16"
+    learned = build_search_diagram(tiny_scenario, heap=tiny_heap)
+    for diagram, dtype in ((tiny_diagram, ""), (learned, "bfloat16")):
+        monitor = attach_monitor(Simulator(diagram), diagram)
+        assert monitor.record.to_dict()["dtype"] == dtype
+
+
 def test_a_plain_simulator_with_the_monitor_ends_too(
     found: SearchRecord, tiny_diagram: SearchDiagram
 ) -> None:

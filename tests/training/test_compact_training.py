@@ -14,7 +14,6 @@ from tests.dataset.conftest import synthetic_sample
 from tests.dataset.whole import write_dataset
 from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
-from xray_drake.occupancy import learned
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
 from xray_drake.occupancy.networks import build
@@ -85,7 +84,6 @@ def test_the_logged_metrics_are_those_of_inference(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(build.ARCHITECTURES, "compact", _Guess)
-    monkeypatch.setattr(learned, "fast_dtype", lambda: torch.float32)
     (tmp_path / "cache").mkdir()
     for job in plan([folder], tmp_path / "cache", _CONFIG.prepare, _SHARE):
         prepare_shard(*job, _CONFIG.prepare, _SHARE)

@@ -176,7 +176,11 @@ def _settings(scenario: Scenario, variant: Variant) -> str:
     if variant.occupancy not in WITHOUT_NETWORK:
         perception = replace(perception, exact=defaults.perception.exact)
     if variant.occupancy in ("", *WITHOUT_NETWORK):
-        perception = replace(perception, weights=defaults.perception.weights)
+        perception = replace(
+            perception,
+            weights=defaults.perception.weights,
+            dtype=defaults.perception.dtype,
+        )
     return shared_scenario(
         replace(defaults, policy=scenario.policy, perception=perception)
     )

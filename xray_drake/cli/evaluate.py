@@ -4,6 +4,7 @@ import errno
 import json as json_format
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,9 +20,9 @@ from rich.progress import (
 )
 
 from xray_drake import __version__
-from xray_drake.choices import WITHOUT_NETWORK
+from xray_drake.choices import DTYPES, WITHOUT_NETWORK
 from xray_drake.cli.errors import errors_as_lines
-from xray_drake.cli.options import Dataset, OfSplit, OfTargets
+from xray_drake.cli.options import Dataset, Dtype, OfSplit, OfTargets
 
 if TYPE_CHECKING:
     from xray_drake.dataset.sample import Sample
@@ -67,6 +68,7 @@ def occupancy(
             help="Networks' posterior, too: where the target probably is.",
         ),
     ] = False,
+    dtype: Dtype = None,
     split: OfSplit = None,
     target: OfTargets = None,
     images: Annotated[
@@ -129,6 +131,7 @@ def occupancy(
             expected=expected,
             unscaled=unscaled,
             posterior=posterior,
+            dtype=dtype or DTYPES[0],
         )
 
         from xray_drake.dataset.augmentation import DepthNoise
@@ -162,6 +165,7 @@ def occupancy(
                 "split": split,
                 "targets": target or None,
                 "weights": [str(path) for path in weights or []],
+                "dtype": dtype or DTYPES[0],
                 "noise": noise,
                 "height_offset": height_offset,
                 "focal_error": focal_error,
@@ -229,6 +233,7 @@ def _predictors(
     expected: bool,
     unscaled: bool,
     posterior: bool,
+    dtype: str,
 ) -> dict[str, "Predictor"]:
     """Returns networks, then what needs none, by the names of their rows.
 
@@ -252,15 +257,16 @@ def _predictors(
         path.stem if stems.count(path.stem) == 1 else str(path): path
         for path in weights
     }
-    found = {name: learned_predictor(path) for name, path in named.items()}
+    learned = partial(learned_predictor, dtype=dtype)
+    found = {name: learned(path) for name, path in named.items()}
     if unscaled:
         found |= {
-            f"{name}, unscaled": learned_predictor(path, scaling=False)
+            f"{name}, unscaled": learned(path, scaling=False)
             for name, path in named.items()
         }
     if posterior:
         found |= {
-            f"{name}, posterior": learned_predictor(path, output="posterior")
+            f"{name}, posterior": learned(path, output="posterior")
             for name, path in named.items()
         }
     if expected:

@@ -11,6 +11,7 @@ from xray_drake.choices import (
     BOX_TARGETS,
     CARRIERS,
     DETECTORS,
+    DTYPES,
     EXECUTIONS,
     GRASPS,
     OCCUPANCIES,
@@ -85,6 +86,13 @@ Weights = Annotated[
     str | None,
     typer.Option(help="File of a network's weights, or a folder of them."),
 ]
+Dtype = Annotated[
+    str | None,
+    typer.Option(
+        help=f"{one_of(DTYPES)}: what a network computes in; the second is "
+        "faster on some processors, and less exact."
+    ),
+]
 Detector = Annotated[str | None, typer.Option(help=f"{one_of(DETECTORS)}.")]
 Segmenter = Annotated[str | None, typer.Option(help=f"{one_of(SEGMENTERS)}.")]
 Grasps = Annotated[
@@ -121,6 +129,7 @@ _FIELDS = {
     "grasps": "gripper.grasps",
     "occupancy": "perception.occupancy",
     "weights": "perception.weights",
+    "dtype": "perception.dtype",
     "detector": "perception.detector",
     "segmenter": "perception.segmenter",
 }

@@ -51,6 +51,21 @@ class PinholeCamera:
             columns.stop - columns.start, rows.stop - rows.start, K, self.X_WC
         )
 
+    def zoomed(self, factor: float) -> "PinholeCamera":
+        """Returns the camera of its images scaled about their centre.
+
+        The images keep their size: where ``factor`` is below 1 they show what
+        surrounds the old ones, above 1 their middle alone.
+
+        Args:
+            factor: above 0.
+        """
+        center = np.array([self.width - 1, self.height - 1]) / 2
+        K = np.array(self.intrinsics)
+        K[:2] *= factor
+        K[:2, 2] += (1 - factor) * center
+        return PinholeCamera(self.width, self.height, K, self.X_WC)
+
     @property
     def floor_scale(self) -> float:
         """Pixels per metre of the floor, as seen from straight above."""

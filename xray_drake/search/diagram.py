@@ -326,6 +326,7 @@ def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
         output="posterior"
         if perception.occupancy == "posterior"
         else "occupancy",
+        dtype=perception.dtype,
     )
 
 

@@ -21,6 +21,7 @@ from pydrake.visualization import VisualizationConfig
 from xray_drake.choices import (
     CARRIERS,
     DETECTORS,
+    DTYPES,
     EXECUTIONS,
     GRASPS,
     OCCUPANCIES,
@@ -122,6 +123,9 @@ class PerceptionConfig:
     # File of a network's weights, or a folder of networks of one box each; by
     # default the one that travels with the package.
     weights: str = ""
+    # What the network computes in: "float32", or "bfloat16", which is faster
+    # where the processor has instructions for it, but not the same search.
+    dtype: str = DTYPES[0]
     # Settings of "exact" and "expected".
     exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
     # Settings of "hsv".
@@ -361,6 +365,7 @@ def check_scenario(
         ("perception.detector", scenario.perception.detector, DETECTORS),
         ("perception.segmenter", scenario.perception.segmenter, SEGMENTERS),
         ("perception.occupancy", scenario.perception.occupancy, OCCUPANCIES),
+        ("perception.dtype", scenario.perception.dtype, DTYPES),
         ("perception.exact.poses", scenario.perception.exact.poses, POSES),
         ("policy.name", scenario.policy.name, POLICIES),
         ("gripper.grasps", scenario.gripper.grasps, GRASPS),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xray_drake.choices import TALL_TARGETS
+from xray_drake.choices import DTYPES, TALL_TARGETS
 from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.exact_config import ExactInferenceConfig
@@ -50,7 +50,11 @@ def expected_predictor() -> Predictor:
 
 
 def learned_predictor(
-    path: Path, *, scaling: bool = True, output: "Output" = "occupancy"
+    path: Path,
+    *,
+    scaling: bool = True,
+    output: "Output" = "occupancy",
+    dtype: str = DTYPES[0],
 ) -> Predictor:
     """Returns a network's inference; each size of target is prepared once.
 
@@ -58,6 +62,7 @@ def learned_predictor(
         path: of its weights; read when the first sample is asked about.
         scaling: see :class:`xray_drake.occupancy.learned.LearnedInference`.
         output: see there.
+        dtype: see there.
     """
     # The networks are not needed where only exact inference is asked.
     from xray_drake.occupancy.learned import load_inference
@@ -65,7 +70,11 @@ def learned_predictor(
     @cache
     def inference(size: tuple[float, ...]) -> "OccupancyModel":
         return load_inference(
-            path, target_size=np.array(size), scaling=scaling, output=output
+            path,
+            target_size=np.array(size),
+            scaling=scaling,
+            output=output,
+            dtype=dtype,
         )
 
     return lambda sample: _infer(

@@ -42,16 +42,3 @@ def build_network(architecture: str, options: Mapping[str, Any]) -> nn.Module:
         return ARCHITECTURES[architecture](**options)
     except TypeError as error:
         raise ValueError(f"{architecture}: {error}") from error
-
-
-def fast_dtype() -> torch.dtype:
-    """Returns the type in which this machine's processor convolves fastest.
-
-    That is bfloat16 where the processor has instructions for it (the shipped
-    network's answers then differ by two thousandths on average, at most by five
-    hundredths), else float32.
-    """
-    find = getattr(torch.cpu, "get_capabilities", dict)
-    found: dict[str, Any] = find()
-    has = found.get("avx512_bf16") or found.get("amx_bf16")
-    return torch.bfloat16 if has else torch.float32
