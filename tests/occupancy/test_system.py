@@ -132,6 +132,33 @@ def test_output_is_cached_until_an_input_changes() -> None:
     assert len(calls) == 4
 
 
+def test_what_was_seen_last_belongs_to_the_context() -> None:
+    calls = []
+
+    class Counting:
+        def infer(
+            self,
+            depth: np.ndarray,
+            target_mask: np.ndarray,
+            camera: PinholeCamera,
+        ) -> OccupancyDistribution:
+            calls.append(depth)
+            return OccupancyDistribution(depth)
+
+    system = OccupancyInference(
+        inference=Counting(), width=WIDTH, height=HEIGHT
+    )
+    before = dict(vars(system))
+    depth, mask = cluttered_depth(), np.zeros(SHAPE, bool)
+    one = context_with(system, depth, mask)
+    other = context_with(system, depth / 2, mask)
+    for context, image in ((one, depth), (other, depth / 2)) * 2:
+        fix_depth(system, context, image)  # rendered again
+        np.testing.assert_array_equal(evaluate(system, context).data, image)
+    assert len(calls) == 2
+    assert vars(system) == before
+
+
 @pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
 def test_depth_without_any_reading(
     system: OccupancyInference, nothing: float

@@ -1,15 +1,19 @@
 """The LeafSystem that infers the occupancy distribution from images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import (
+    Context,
+    LeafSystem,
+    ValueProducer,
+)
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.messages import OccupancyDistribution, TargetMask
+from xray_drake.messages import Message, OccupancyDistribution, TargetMask
 
 
 class OccupancyModel(Protocol):
@@ -29,6 +33,36 @@ class OccupancyModel(Protocol):
             camera: the camera of both.
         """
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class _Answered(Message):
+    """What the inference saw last, and said.
+
+    Whoever looks after the next step of a heap at rest sees the same image,
+    but the framework cannot know.
+    """
+
+    depth: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, 0), np.float32)
+    )
+    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    camera: PinholeCamera | None = None
+    distribution: OccupancyDistribution = field(
+        default_factory=OccupancyDistribution
+    )
+
+    def is_of(
+        self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> bool:
+        return (
+            self.camera is not None
+            and self.camera.shape == camera.shape
+            and np.array_equal(self.camera.intrinsics, camera.intrinsics)
+            and np.array_equal(self.camera.X_WC, camera.X_WC)
+            and np.array_equal(self.mask, mask)
+            and np.array_equal(self.depth, depth, equal_nan=True)
+        )
 
 
 class OccupancyInference(LeafSystem):
@@ -68,7 +102,6 @@ class OccupancyInference(LeafSystem):
         self.set_name("occupancy_inference")
         self._inference = inference
         self._shape = height, width
-        self._answered: _Answered | None = None
         camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
         self._depth_image = self.DeclareAbstractInputPort(
             name="depth_image",
@@ -80,18 +113,30 @@ class OccupancyInference(LeafSystem):
         self._camera = self.DeclareAbstractInputPort(
             name="camera", model_value=AbstractValue.Make(camera)
         )
-        self.DeclareAbstractOutputPort(
-            name="occupancy",
-            alloc=lambda: AbstractValue.Make(OccupancyDistribution()),
-            calc=self._calc_occupancy,
+        self._answered = self.DeclareCacheEntry(
+            description="last answer",
+            value_producer=ValueProducer(
+                allocate=lambda: AbstractValue.Make(_Answered()),
+                calc=self._calc_answered,
+            ),
             prerequisites_of_calc={
                 self._depth_image.ticket(),
                 self._target_mask.ticket(),
                 self._camera.ticket(),
             },
         )
+        self.DeclareAbstractOutputPort(
+            name="occupancy",
+            alloc=lambda: AbstractValue.Make(OccupancyDistribution()),
+            calc=self._calc_occupancy,
+            prerequisites_of_calc={self._answered.ticket()},
+        )
 
     def _calc_occupancy(self, context: Context, output: AbstractValue) -> None:
+        answered: _Answered = self._answered.Eval(context)
+        output.set_value(answered.distribution)
+
+    def _calc_answered(self, context: Context, output: AbstractValue) -> None:
         image: ImageDepth32F = self._depth_image.Eval(context)
         mask: TargetMask = self._target_mask.Eval(context)
         camera: PinholeCamera = self._camera.Eval(context)
@@ -101,38 +146,14 @@ class OccupancyInference(LeafSystem):
                 f"the system was built for {self._shape}"
             )
         depth = image.data[:, :, 0]
-        known = self._answered
-        if known is None or not known.is_of(depth, mask.data, camera):
-            known = _Answered(
-                np.array(depth),
-                mask.data,
-                camera,
-                self._inference.infer(depth, mask.data, camera),
+        # What this context's entry held before its inputs changed.
+        known: _Answered = output.get_value()
+        if not known.is_of(depth, mask.data, camera):
+            output.set_value(
+                _Answered(
+                    np.array(depth),
+                    mask.data,
+                    camera,
+                    self._inference.infer(depth, mask.data, camera),
+                )
             )
-            self._answered = known
-        output.set_value(known.distribution)
-
-
-@dataclass(frozen=True, eq=False)
-class _Answered:
-    """What the inference saw last, and said.
-
-    Whoever looks after the next step of a heap at rest sees the same image,
-    but the framework cannot know.
-    """
-
-    depth: np.ndarray
-    mask: np.ndarray
-    camera: PinholeCamera
-    distribution: OccupancyDistribution
-
-    def is_of(
-        self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
-    ) -> bool:
-        return (
-            self.camera.shape == camera.shape
-            and np.array_equal(self.camera.intrinsics, camera.intrinsics)
-            and np.array_equal(self.camera.X_WC, camera.X_WC)
-            and np.array_equal(self.mask, mask)
-            and np.array_equal(self.depth, depth, equal_nan=True)
-        )
