@@ -132,6 +132,15 @@ def test_output_is_cached_until_an_input_changes() -> None:
     assert len(calls) == 4
 
 
+def attributes(system: OccupancyInference) -> dict[str, object]:
+    """Without the bindings' own."""
+    return {
+        name: value
+        for name, value in vars(system).items()
+        if not name.startswith("_pydrake")
+    }
+
+
 def test_what_was_seen_last_belongs_to_the_context() -> None:
     calls = []
 
@@ -148,7 +157,7 @@ def test_what_was_seen_last_belongs_to_the_context() -> None:
     system = OccupancyInference(
         inference=Counting(), width=WIDTH, height=HEIGHT
     )
-    before = dict(vars(system))
+    before = attributes(system)
     depth, mask = cluttered_depth(), np.zeros(SHAPE, bool)
     one = context_with(system, depth, mask)
     other = context_with(system, depth / 2, mask)
@@ -156,7 +165,7 @@ def test_what_was_seen_last_belongs_to_the_context() -> None:
         fix_depth(system, context, image)  # rendered again
         np.testing.assert_array_equal(evaluate(system, context).data, image)
     assert len(calls) == 2
-    assert vars(system) == before
+    assert attributes(system) == before
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
