@@ -5,12 +5,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from xray_drake.grasping import planner as module
 from xray_drake.grasping.candidates import in_groups, same_grasp
 from xray_drake.grasping.judgement import GRAVITY
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.messages import Grasp, GraspKind
 from xray_drake.scene.object_model import object_from_pieces
+from xray_drake.seeding import stream
 
 
 def block(name, *extents, density=600.0):
@@ -137,6 +139,20 @@ def test_plans_follow_from_seed_and_heap_alone():
     assert (a.width, a.quality) == (b.width, b.quality)
     other = ModelGraspPlanner([FLAT], seed=4).samples("flat")[0]
     assert not np.array_equal(first.samples("flat")[0].first, other.first)
+
+
+def test_grasps_and_the_cloud_that_judges_them_are_drawn_apart(monkeypatch):
+    """Else the cloud tends to lie where the grasps do."""
+    asked = []
+
+    def recorded(seed, purpose, *numbers):
+        asked.append((seed, purpose, *numbers))
+        return stream(seed, purpose, *numbers)
+
+    monkeypatch.setattr(module, "stream", recorded)
+    ModelGraspPlanner([FLAT]).plan("flat", {"flat": at(0, 0, 0.0025)})
+    drawn = [names for names in asked if names[1] != "rehearsal"]
+    assert len(drawn) == len(set(drawn)) == 2
 
 
 @pytest.mark.parametrize(("factor", "lifted"), [(1.05, True), (0.95, False)])

@@ -366,7 +366,7 @@ class ModelGraspPlanner:
 
     def _surface(self, name: str) -> np.ndarray:
         if name not in self._surfaces:
-            rng = stream(self._seed, f"samples of {name}")
+            rng = stream(self._seed, f"surface of {name}")
             self._surfaces[name], _ = surface_points(
                 self._objects[name].visual, 4 * self.config.surface_points, rng
             )
