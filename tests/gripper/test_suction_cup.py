@@ -253,9 +253,13 @@ def test_what_it_gives_to_the_object_it_takes_from_the_gripper(
 class Cell:
     """The cup on its gripper over a plate that lies in the bin."""
 
-    def __init__(self, model: ObjectModel) -> None:
+    def __init__(
+        self, model: ObjectModel, *, sampled_ports: bool = True
+    ) -> None:
         builder = DiagramBuilder()
-        plant, _ = add_plant(builder, default_plant_config())
+        config = default_plant_config()
+        config.use_sampled_output_ports = sampled_ports
+        plant, _ = add_plant(builder, config)
         add_bin(plant)
         self.gripper = add_gripper(plant)
         self.item = add_object(plant, model)
@@ -329,6 +333,27 @@ class Cell:
         context = self.cup.GetMyContextFromRoot(self.context)
         return self.cup.GetOutputPort("state").Eval(context)
 
+    def weigh(self) -> tuple[float, float]:
+        """Advances by a step.
+
+        Returns:
+            What the cup says that it pulls up with, N, and what the object's
+            motion says, which nothing else touches.
+        """
+        before = self.velocity
+        self.simulator.AdvanceTo(self.context.get_time() + STEP)
+        gained = (self.velocity - before) / STEP
+        return self.state.wrench[5], self.item.model.mass * (gained + 9.81)
+
+    @property
+    def velocity(self) -> float:
+        """The object's centre of mass, upwards, m/s."""
+        context = self.plant.GetMyContextFromRoot(self.context)
+        V = self.plant.EvalBodySpatialVelocityInWorld(context, self.item.body)
+        X = self.plant.EvalBodyPoseInWorld(context, self.item.body)
+        p_OCom_W = X.rotation() @ self.item.model.p_OCom
+        return float(V.Shift(p_OCom_W).translational()[2])
+
     @property
     def height(self) -> float:
         context = self.plant.GetMyContextFromRoot(self.context)
@@ -350,6 +375,22 @@ def test_it_lifts_what_the_vacuum_can_hold(mass: float) -> None:
     assert cell.height - start == pytest.approx(0.1 - sag, abs=5e-4)
     assert cell.state.wrench[5] == pytest.approx(9.81 * mass, rel=0.02)
     assert cell.state.load == pytest.approx(9.81 * mass / 14.0, rel=0.05)
+
+
+@pytest.mark.parametrize("sampled_ports", [True, False])
+def test_the_force_that_acts_is_the_one_that_it_says(
+    sampled_ports: bool,
+) -> None:
+    """Whether the plant steps before the cup's event is done, or after."""
+    cell = Cell(plate(0.05), sampled_ports=sampled_ports)
+    cell.move(0.5 * UP, 0.3)
+    cell.fix(
+        "wrist",
+        np.array([*cell.q[:2], cell.q[2] + 0.003, *cell.q[3:], *np.zeros(6)]),
+    )
+    said, acted = np.transpose([cell.weigh() for _ in range(8)])
+    assert np.ptp(said) > 0.3
+    np.testing.assert_allclose(acted, said, atol=1e-4)
 
 
 def test_it_drops_what_is_too_heavy() -> None:

@@ -165,6 +165,7 @@ class CupState(Message):
         velocity: (6,) of the object there, in the world.
         p_BL: (3,) that point in the gripper's frame, m.
         lost: why the last seal ended; empty where it was let go.
+        tick: of which of the plant's steps it is; −1 before any.
     """
 
     object: str = ""
@@ -177,6 +178,7 @@ class CupState(Message):
     velocity: np.ndarray | None = None
     p_BL: np.ndarray = field(default_factory=lambda: np.zeros(3))
     lost: str = ""
+    tick: int = -1
 
     @property
     def flow(self) -> float:

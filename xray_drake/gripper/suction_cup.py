@@ -55,8 +55,9 @@ class SuctionCup(LeafSystem):
 
     ``state`` (:class:`~xray_drake.gripper.suction.CupState`) has what a real
     ejector feels, ``vacuum`` and ``flow``, and what only a simulation knows. It
-    changes in one periodic event. The force is that of the coming event, from
-    the same inputs: the plant takes it up in the step that begins there.
+    changes in one periodic event, once for each of the plant's steps. The force
+    is that of the state after it, whether the plant steps in the same instant
+    before that event is done (Drake's ``use_sampled_output_ports``) or after.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class SuctionCup(LeafSystem):
         self._state = self.DeclareAbstractState(Value(CupState()))
         self.DeclareStateOutputPort("state", self._state)
         self._next = self.DeclareCacheEntry(
-            description="the state a step later",
+            description="the state of this step",
             value_producer=ValueProducer(
                 allocate=lambda: Value(CupState()), calc=self._calc_next
             ),
@@ -145,15 +146,23 @@ class SuctionCup(LeafSystem):
 
     def _calc_next(self, context: Context, output: AbstractValue) -> None:
         state: CupState = context.get_abstract_state(self._state).get_value()
+        tick = round(context.get_time() / self._step)
+        if state.tick != tick:
+            after = self._advanced(context, state, tick)
+            if after is not state:
+                state = replace(after, tick=tick)
+        output.set_value(state)
+
+    def _advanced(
+        self, context: Context, state: CupState, tick: int
+    ) -> CupState:
         suction = bool(self._suction.Eval(context)[0] > 0.5)
         if state.object and suction:
-            output.set_value(self._hold(context, state))
-            return
+            return self._hold(context, state)
         state = open_cup(state, suction=suction)
-        ticks = round(context.get_time() / self._step)
-        if suction and ticks % self._look_every == 0:
-            state = self._seal(context, state)
-        output.set_value(state)
+        if suction and tick % self._look_every == 0:
+            return self._seal(context, state)
+        return state
 
     def _update(self, context: Context, state: State) -> EventStatus:
         before = context.get_abstract_state(self._state).get_value()
