@@ -536,7 +536,7 @@ def test_it_holds_until_the_rest_is_at_rest() -> None:
 def test_it_does_not_wait_for_ever() -> None:
     poses = {
         "brick": on_floor(0.05, 0.02),
-        "box_2to1": on_floor(0.0, 5.0, 200.0),  # falls beside the bin
+        "box_2to1": on_floor(-0.1, 0.0, 200.0),  # falls into the bin
     }
     cell = Cell(
         Judge(),
@@ -547,6 +547,20 @@ def test_it_does_not_wait_for_ever() -> None:
     )
     cell.run(take("brick"), limit=5.0)
     assert cell.status.outcome is Outcome.LIFTED
+
+
+def test_what_fell_out_of_the_cell_is_left_alone() -> None:
+    """It falls on below the tote; the gripper neither follows nor waits."""
+    poses = {
+        "brick": on_floor(0.05, 0.02),
+        "box_2to1": on_floor(0.0, 5.0, -0.2),
+    }
+    cell = Cell(Judge(), poses, brick(), target_model("box_2to1"))
+    way = np.array(cell.run(take("brick"), limit=4.0))
+    assert cell.pose("box_2to1")[2, 3] < -10.0
+    assert cell.status.outcome is Outcome.LIFTED
+    assert in_tote(way[-1])
+    assert way[:, 2].min() > 0.0
 
 
 def test_it_settles_between_the_lift_and_the_way_to_the_tote() -> None:

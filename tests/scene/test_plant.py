@@ -22,6 +22,8 @@ from xray_drake.scene.plant import (
     default_plant_config,
     in_memory_mesh,
     inside_bin,
+    inside_tote,
+    over_tote,
 )
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
@@ -207,6 +209,26 @@ def test_body_and_joint_of_an_object_belong_together() -> None:
 )
 def test_inside_the_bin(p_W: tuple[float, float, float], inside: bool) -> None:
     assert inside_bin(np.array(p_W)) is inside
+
+
+@pytest.mark.parametrize(
+    ("p_W", "inside", "over"),
+    [
+        ((0.62, 0.0, 0.0), True, True),
+        ((0.62 + 0.179, -0.179, 0.1), True, True),
+        ((0.62, 0.0, 0.13), False, True),  # on a pile, or held above it
+        ((0.62 - 0.181, 0.0, 0.05), False, False),
+        ((0.62, 0.181, 0.05), False, False),
+        ((0.62, 0.0, -40.0), False, False),
+        ((0.0, 0.0, 0.05), False, False),
+        ((np.nan, 0.0, 0.05), False, False),
+    ],
+)
+def test_inside_the_tote(
+    p_W: tuple[float, float, float], inside: bool, over: bool
+) -> None:
+    assert inside_tote(np.array(p_W)) is inside
+    assert over_tote(np.array(p_W)) is over
 
 
 def test_meshes_for_the_renderer_have_normals_and_sharp_edges() -> None:

@@ -35,9 +35,9 @@ from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
     BIN_WALL_HEIGHT,
     TOTE_POSITION,
-    inside_bin,
+    over_tote,
 )
-from xray_drake.scene.rest import RestTest, box_corners
+from xray_drake.scene.rest import RestTest, corners_in_cell
 from xray_drake.seeding import stream
 
 LIFT_CLEARANCE = 0.05
@@ -165,6 +165,7 @@ class QuasiStaticGripper(LeafSystem):
     (``applied_spatial_force``), waits until the rest is at rest, carries it
     over the tote, lowers and releases it. If not, nothing moves and the
     action is spent. An object that cannot follow (wedged under others) slips.
+    What has fallen out of the cell is not waited for.
 
     ``status`` (:class:`~xray_drake.messages.GripperStatus`) is idle only when
     the heap is at rest. ``position`` (quaternion and position of the
@@ -524,7 +525,7 @@ class QuasiStaticGripper(LeafSystem):
         under = [
             _heights(self._models[other], X).max()
             for other, X in poses.items()
-            if other != name and not inside_bin(X[:3, 3])
+            if other != name and over_tote(X[:3, 3])
         ]
         return min(max(under, default=0.0) + 0.005 - lowest, 0.0)
 
@@ -560,8 +561,9 @@ class QuasiStaticGripper(LeafSystem):
         poses: dict[str, np.ndarray],
         time: float,
     ) -> QuasiStaticMotion:
-        corners = [box_corners(self._models[n], X) for n, X in poses.items()]
-        points = np.concatenate([np.zeros((0, 3)), *corners])
+        points = corners_in_cell(
+            (self._models[name], X_WO) for name, X_WO in poses.items()
+        )
         rest = motion.rest.update(time, points)
         return motion if rest is motion.rest else replace(motion, rest=rest)
 

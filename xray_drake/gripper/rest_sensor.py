@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import (
@@ -14,10 +13,7 @@ from pydrake.systems.framework import (
 )
 
 from xray_drake.scene.object_model import ObjectModel
-from xray_drake.scene.rest import RestTest, box_corners
-
-_FALLEN = -0.05
-"""What is deeper than this has left the cell and falls on, m."""
+from xray_drake.scene.rest import RestTest, corners_in_cell
 
 
 class RestSensor(LeafSystem):
@@ -85,12 +81,10 @@ class RestSensor(LeafSystem):
         if not test.is_due(time):
             return EventStatus.DidNothing()
         poses = self._poses.Eval(context)
-        corners = [
-            box_corners(model, X_WO.GetAsMatrix4())
-            for model, X_WO in ((m, poses[i]) for m, i in self._objects)
-            if X_WO.translation()[2] > _FALLEN
-        ]
-        points = np.concatenate([np.zeros((0, 3)), *corners])
+        points = corners_in_cell(
+            (model, poses[index].GetAsMatrix4())
+            for model, index in self._objects
+        )
         state.get_mutable_abstract_state(self._state).set_value(
             test.update(time, points)
         )

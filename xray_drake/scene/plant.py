@@ -132,13 +132,19 @@ def inside_bin(p_W: np.ndarray) -> bool:
     )
 
 
+def over_tote(p_W: np.ndarray) -> bool:
+    """Says whether a body whose origin is at ``p_W`` (3,) is in the tote.
+
+    Or above it, on whatever lies there.
+    """
+    from_centre = np.abs(np.asarray(p_W) - TOTE_POSITION)
+    half = np.array(TOTE_SIZE[:2]) / 2
+    return bool((from_centre[:2] < half).all() and p_W[2] > -0.01)
+
+
 def inside_tote(p_W: np.ndarray) -> bool:
     """Says whether a body whose origin is at ``p_W`` (3,) is in the tote."""
-    from_centre = np.abs(np.asarray(p_W) - TOTE_POSITION)
-    return bool(
-        (from_centre[:2] < np.array(TOTE_SIZE[:2]) / 2).all()
-        and -0.01 < p_W[2] < TOTE_SIZE[2]
-    )
+    return over_tote(p_W) and bool(p_W[2] < TOTE_SIZE[2])
 
 
 def in_memory_mesh(mesh: trimesh.Trimesh, label: str) -> InMemoryMesh:

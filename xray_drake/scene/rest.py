@@ -1,11 +1,15 @@
 """Tells whether bodies rest."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from xray_drake.messages import Message
 from xray_drake.scene.object_model import ObjectModel
+
+_FALLEN = -0.05
+"""What is deeper than this has left the cell and falls on, m."""
 
 
 def box_corners(model: ObjectModel, X_WO: np.ndarray) -> np.ndarray:
@@ -16,6 +20,25 @@ def box_corners(model: ObjectModel, X_WO: np.ndarray) -> np.ndarray:
     )
     corners = np.where(choice, high, low)
     return corners @ X_WO[:3, :3].T + X_WO[:3, 3]
+
+
+def corners_in_cell(
+    placed: Iterable[tuple[ObjectModel, np.ndarray]],
+) -> np.ndarray:
+    """Returns (8 n, 3) corners of the boxes of n objects, in the world, m.
+
+    Those of objects that have fallen out of the cell are left out: they fall
+    for ever, and nothing waits for them.
+
+    Args:
+        placed: objects and their 4×4 poses X_WO.
+    """
+    corners = [
+        box_corners(model, X_WO)
+        for model, X_WO in placed
+        if not X_WO[2, 3] < _FALLEN  # What is lost to NaN is not at rest.
+    ]
+    return np.concatenate([np.zeros((0, 3)), *corners])
 
 
 @dataclass(frozen=True, eq=False)
