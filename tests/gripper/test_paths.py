@@ -13,6 +13,8 @@ WRIST = Wrist(
     velocity=np.array([1.5, 1.5, 1.0, 3.0, 2.0, 3.0]),
     acceleration=np.array([4.0, 4.0, 4.0, 20.0, 10.0, 20.0]),
     stiffness=np.ones(6),
+    damping=np.ones(6),
+    mass=np.ones(3),
 )
 
 points = st.lists(st.floats(-2, 2), min_size=6, max_size=6).map(np.array)

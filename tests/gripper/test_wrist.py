@@ -14,6 +14,8 @@ WRIST = Wrist(
     velocity=np.ones(6),
     acceleration=np.ones(6),
     stiffness=np.ones(6),
+    damping=np.ones(6),
+    mass=np.ones(3),
 )
 
 

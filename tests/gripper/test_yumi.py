@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
@@ -17,7 +18,10 @@ from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
     load_gripper_geometry,
 )
+from xray_drake.gripper.carrier import Lag
+from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.grip_surfaces import PAD, add_grip_surfaces
+from xray_drake.gripper.paths import Leg
 from xray_drake.gripper.yumi import FINGER_JOINTS, HOME, add_gripper
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import add_camera
@@ -38,13 +42,18 @@ STEP = 0.005
 class Cell:
     """The gripper over the bin, its desired state given by hand."""
 
-    def __init__(self, *models: ObjectModel, camera: bool = False) -> None:
+    def __init__(
+        self,
+        *models: ObjectModel,
+        camera: bool = False,
+        time_step: float = STEP,
+    ) -> None:
         builder = DiagramBuilder()
+        config = default_plant_config()
+        config.time_step = time_step
         self.plant: MultibodyPlant
         self.scene_graph: SceneGraph
-        self.plant, self.scene_graph = add_plant(
-            builder, default_plant_config()
-        )
+        self.plant, self.scene_graph = add_plant(builder, config)
         add_bin(self.plant)
         self.gripper = add_gripper(self.plant)
         self.items = {}
@@ -197,6 +206,46 @@ def test_it_is_the_gripper_that_planning_knows() -> None:
             np.testing.assert_allclose(joint.position_upper_limits(), 0.025)
             actuator = plant.GetJointActuatorByName(name)
             assert actuator.effort_limit() == parameters.force
+
+
+def pushed(cell: Cell, force: float) -> None:
+    """Pushes the gripper upwards (N) from now on."""
+    push = ExternallyAppliedSpatialForce()
+    push.body_index = cell.gripper.base.index()
+    push.F_Bq_W = SpatialForce(tau=np.zeros(3), f=np.array([0, 0, force]))
+    cell.diagram.GetInputPort("force").FixValue(
+        cell.context, AbstractValue.Make([push])
+    )
+
+
+@pytest.mark.parametrize("time_step", [0.001, 0.005, 0.01])
+def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
+    """It goes as fast as it does to a grasp, and weighs 1.5 kg."""
+    cell = Cell(time_step=time_step)
+    wrist = cell.gripper.carrier.slowed(ExecutionConfig.acceleration)
+    start = cell.q
+    end = start + np.array([0.02, -0.15, -0.15, 0, 0, 0])
+    tick = 0
+    for force in (0.0, 3.0):
+        pushed(cell, force)
+        tick += round(0.2 / time_step)
+        cell.simulator.AdvanceTo(tick * time_step)
+        path = wrist.path(start, [Leg(end, 0.8)], tick * time_step)
+        felt = []
+        while (time := tick * time_step) < path.end_time:
+            desired, rate = path.sample(time)
+            cell.fix("wrist", np.concatenate([desired, rate]))
+            tick += 1
+            cell.simulator.AdvanceTo(tick * time_step)
+            state = cell.plant.get_state_output_port(
+                cell.gripper.carrier_instance
+            ).Eval(cell.plant_context)
+            q, v = np.split(state, 2)
+            acceleration = path.acceleration(time)
+            lag = Lag(q, v, desired - q, rate - v, acceleration)
+            felt.append(wrist.force(lag) + [0, 0, force])
+        assert np.abs(felt).max() < 0.4 * ExecutionConfig.contact_force
+        start, end = end, start
 
 
 def outlines(cell: Cell) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:

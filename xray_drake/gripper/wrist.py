@@ -32,6 +32,8 @@ class Wrist(Message):
         velocity: (6,) highest speeds, m/s and rad/s.
         acceleration: (6,) highest accelerations, m/s² and rad/s².
         stiffness: (6,) of the position control, N/m and N·m/rad.
+        damping: (6,) of the position control, N·s/m and N·m·s/rad.
+        mass: (3,) that each slide moves, the gripper included, kg.
     """
 
     R_FT: np.ndarray
@@ -40,6 +42,8 @@ class Wrist(Message):
     velocity: np.ndarray
     acceleration: np.ndarray
     stiffness: np.ndarray
+    damping: np.ndarray
+    mass: np.ndarray
 
     @property
     def name(self) -> str:
@@ -130,9 +134,11 @@ class Wrist(Message):
     def force(self, lag: Lag) -> np.ndarray:
         """Returns the (3,) force that the tool presses with, N.
 
-        The wrist is so light that what accelerates it does not matter.
+        What the slides' drives exert without what it takes to accelerate wrist
+        and gripper, while the tool does not turn.
         """
-        return (self.stiffness * lag.position)[:3]
+        effort = self.stiffness * lag.position + self.damping * lag.velocity
+        return effort[:3] - self.mass * lag.acceleration[:3]
 
     def path(
         self, start: np.ndarray, legs: Sequence[Leg], begin: float

@@ -1,5 +1,6 @@
 """Puts the YuMi-like gripper on its carrier into a MultibodyPlant."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,6 +123,8 @@ def add_gripper(
             velocity=limits.velocity,
             acceleration=limits.acceleration,
             stiffness=limits.stiffness,
+            damping=limits.damping,
+            mass=_moved_mass(plant, names, arm, hand)[:3],
         )
         q_home = kinematics.joints(
             home @ np.linalg.inv(X_BJ), near=np.zeros(len(names))
@@ -142,3 +145,21 @@ def add_gripper(
         finger_force=finger.effort_limit(),
         finger_stiffness=finger.get_controller_gains().p,
     )
+
+
+def _moved_mass(
+    plant: MultibodyPlant,
+    names: Sequence[str],
+    arm: ModelInstanceIndex,
+    hand: ModelInstanceIndex,
+) -> np.ndarray:
+    """Returns the (n,) masses beyond each of a chain's n joints, kg."""
+    own = [
+        plant.GetJointByName(name, arm).child_body().default_mass()
+        for name in names
+    ]
+    held = [
+        plant.get_body(index).default_mass()
+        for index in plant.GetBodyIndices(hand)
+    ]
+    return np.cumsum(own[::-1])[::-1] + sum(held)
