@@ -189,6 +189,13 @@ class SearchAction(Message):
     seconds: tuple[tuple[str, float], ...] = ()
     invalid: bool = False
 
+    @property
+    def why_no_grasp(self) -> str:
+        """Why there is none, where ``grasp`` is of kind NONE."""
+        if self.invalid:
+            return "the choice has no grasp, others have"
+        return "no candidate has a grasp"
+
 
 @dataclass(frozen=True, eq=False)
 class Choice(Message):

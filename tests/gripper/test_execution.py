@@ -322,6 +322,37 @@ def test_what_slips_over_the_tote_has_arrived(gripper: YumiGripper) -> None:
     assert script.run(take()).outcome is Outcome.LIFTED
 
 
+def impatient(gripper: YumiGripper, phase: Phase) -> Script:
+    """A script whose time for an action is over in the midst of a phase."""
+    script = Script(gripper)
+    script.run(take())
+    times = [t for t, motion, *_ in script.way if motion.phase is phase]
+    give_up = float(np.mean(times)) - script.motion.began
+    script = Script(gripper)
+    script.execution = GraspExecution(gripper, replace(CONFIG, give_up=give_up))
+    return script
+
+
+def test_trouble_over_the_tote_is_no_success(gripper: YumiGripper) -> None:
+    script = Script(gripper)
+    script.push = lambda phase, t, z: np.array(
+        [0, 0, 400.0 * (phase is Phase.LOWER)]
+    )
+    status = failure(script, take())
+    assert status.outcome is Outcome.SLIPPED
+    assert status.reason == "the wrist is stuck"
+
+    status = failure(impatient(gripper, Phase.LOWER), take())
+    assert status.outcome is Outcome.SLIPPED
+    assert status.reason.startswith("gave up after")
+
+
+def test_what_has_been_set_down_stays_so(gripper: YumiGripper) -> None:
+    """Though the time is over before the jaw is open."""
+    status = impatient(gripper, Phase.RELEASE).run(take())
+    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
+
+
 def test_a_lost_seal_is_noticed(gripper: YumiGripper) -> None:
     script = Script(gripper)
     script.width = lambda phase, t: 0.0
@@ -377,6 +408,13 @@ def test_out_of_reach(gripper: YumiGripper) -> None:
 def test_no_grasp(gripper: YumiGripper) -> None:
     status = Script(gripper).run(SearchAction(number=1))
     assert status.outcome is Outcome.NO_GRASP
+
+
+def test_no_grasp_on_what_was_chosen(gripper: YumiGripper) -> None:
+    action = SearchAction(number=1, invalid=True)
+    status = Script(gripper).run(action)
+    assert status.outcome is Outcome.NO_GRASP
+    assert status.reason == "the choice has no grasp, others have"
 
 
 def test_the_next_one_goes_to_another_place(gripper: YumiGripper) -> None:

@@ -95,7 +95,7 @@ class Phase(Enum):
 
 _TOUCHING = (Phase.DESCEND, Phase.CLOSE, Phase.SEAL)
 _HOLDING = (Phase.LIFT, Phase.CHECK, Phase.CARRY, Phase.LOWER)
-_GIVING_UP = (Phase.IDLE, Phase.ABORT, Phase.HOME, Phase.SETTLE)
+_ENDING = (Phase.IDLE, Phase.RELEASE, Phase.ABORT, Phase.HOME, Phase.SETTLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +247,7 @@ class GraspExecution:
             return replace(
                 motion,
                 outcome=Outcome.NO_GRASP,
-                reason="no candidate has a grasp",
+                reason=action.why_no_grasp,
             )
         carrier, home = self._carrier, self._gripper.home
         config, suction = self._config, grasp.kind is GraspKind.SUCTION
@@ -298,10 +298,11 @@ class GraspExecution:
         phase = motion.phase
         if phase is Phase.IDLE:
             return motion
-        if phase not in _GIVING_UP:
-            trouble = self._trouble(motion, senses)
-            if trouble and phase is Phase.LOWER:  # It fell into the tote.
+        if phase not in _ENDING:
+            lost = self._lost(motion, senses)
+            if lost and phase is Phase.LOWER:  # It fell into the tote.
                 return self._set_down(motion, senses)
+            trouble = lost or self._trouble(motion, senses)
             if trouble:
                 return self._abort(motion, senses, trouble)
         step = {
@@ -358,6 +359,10 @@ class GraspExecution:
         lag = self._at(senses.desired) - self._at(senses.joints)
         if np.linalg.norm(lag) > self._config.stuck_distance:
             return f"the {self._carrier.name} is stuck"
+        return ""
+
+    def _lost(self, motion: Motion, senses: Senses) -> str:
+        """Returns why it does not hold any more what it held, or nothing."""
         if motion.phase not in _HOLDING:
             return ""
         if motion.action.grasp.kind is GraspKind.SUCTION:

@@ -394,9 +394,7 @@ class QuasiStaticGripper(LeafSystem):
                 motion,
                 action=action,
                 outcome=Outcome.NO_GRASP,
-                reason="the choice has no grasp, others have"
-                if action.invalid
-                else "no candidate has a grasp",
+                reason=action.why_no_grasp,
             )
         segment = Segment(
             _HOME, action.grasp.X_WG, time, self._config.approach_time
