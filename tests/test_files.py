@@ -1,10 +1,24 @@
+import json
 import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from tests.disk import full_disk
-from xray_drake.files import remove_leftovers, write_whole_file
+from xray_drake.files import (
+    InUseError,
+    LinesError,
+    append_json_lines,
+    read_json_lines,
+    remove_leftovers,
+    sole_writer,
+    write_whole_file,
+)
 
 
 def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
@@ -48,9 +62,142 @@ def test_who_reads_meanwhile_reads_the_old_file_whole(tmp_path: Path) -> None:
     assert path.read_text() == "new"
 
 
+def dead_pid() -> int:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
 def test_leftovers_are_removed_and_nothing_else(tmp_path: Path) -> None:
     write_whole_file(tmp_path / "x.txt", b"whole")
-    (tmp_path / ".x.txt.7.part").write_bytes(b"half")
+    name = f".x.txt.{dead_pid()}.part"
+    (tmp_path / name).write_bytes(b"half")
     (tmp_path / "y.part").write_bytes(b"somebody's")
-    assert [p.name for p in remove_leftovers(tmp_path)] == [".x.txt.7.part"]
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["x.txt", "y.part"]
+    # Of a worker that has outlived its program.
+    (tmp_path / f".z.txt.{os.getppid()}.part").write_bytes(b"written now")
+    assert [p.name for p in remove_leftovers(tmp_path)] == [name]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        *(f".z.txt.{os.getppid()}.part", "x.txt", "y.part")
+    ]
+
+
+_WRITER = """
+import os, sys, time
+from pathlib import Path
+from xray_drake.files import sole_writer
+with sole_writer(Path(sys.argv[1])):
+    print("in", flush=True)
+    child = os.fork()
+    if child:
+        print(child, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(params=["folder", "results.jsonl"])
+def place(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    path = tmp_path / request.param
+    if request.param == "folder":
+        path.mkdir()
+    return path
+
+
+@pytest.fixture
+def other(place: Path) -> Iterator[subprocess.Popen]:
+    """Another process that writes there."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", _WRITER, str(place)],
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"in\n"
+    yield process
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+
+
+def test_a_place_has_one_writer_until_it_is_killed(
+    place: Path, other: subprocess.Popen
+) -> None:
+    link = place.with_name("link")
+    link.symlink_to(place)
+    for name in (place, link):
+        with pytest.raises(InUseError, match=f"another process .{other.pid}"):
+            sole_writer(name).__enter__()
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    with sole_writer(place):
+        pass
+    names = {p.name for p in place.parent.rglob("*")}
+    assert names <= {"link", "folder"}
+
+
+def test_a_process_does_not_write_twice_to_one_place(place: Path) -> None:
+    with sole_writer(place), pytest.raises(InUseError):
+        sole_writer(place).__enter__()
+    with sole_writer(place):
+        pass
+
+
+def test_a_lock_does_not_live_on_in_a_child(
+    place: Path, other: subprocess.Popen
+) -> None:
+    """As in a reader of data that outlives its program for a moment."""
+    assert other.stdout is not None
+    child = int(other.stdout.readline())
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    with sole_writer(place):
+        os.kill(child, 0)  # it lives
+
+
+def test_a_copied_lock_blocks_nobody(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text(str(os.getppid()))
+    with sole_writer(tmp_path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "x.jsonl"
+    assert read_json_lines(path) == []
+    items = [{"a": 1}, {"b": "ä\u2028"}, {"c": None}]
+    for item in items:
+        with append_json_lines(path) as add:
+            add(item)
+    assert read_json_lines(path) == items
+
+
+@pytest.mark.parametrize("cut", [1, 2, 7])
+def test_a_last_line_cut_short_is_left_out_with_a_word(
+    tmp_path: Path, cut: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "x.jsonl"
+    first, last = json.dumps({"a": 1}), json.dumps({"b": [1, 2]})
+    path.write_text(f"{first}\n{last}\n"[:-cut])
+    # Without its end of line alone it is whole.
+    kept = [{"a": 1}, {"b": [1, 2]}][: 2 if cut == 1 else 1]
+    assert read_json_lines(path) == kept
+    assert [f"{path}: line 2 is cut" in m for m in caplog.messages] == [
+        *([] if cut == 1 else [True])
+    ]
+    with append_json_lines(path) as add:
+        add({"c": 3})
+    assert read_json_lines(path) == [*kept, {"c": 3}]
+
+
+@pytest.mark.parametrize("line", [b"{", b"[1]", b"7", b"\xff", b"\0\0"])
+def test_another_line_that_cannot_be_read_is_named_and_stays(
+    tmp_path: Path, line: bytes
+) -> None:
+    path = tmp_path / "x.jsonl"
+    data = b'{"a": 1}\n' + line + b'\n{"b": 2}\n'
+    path.write_bytes(data)
+    with pytest.raises(LinesError, match=r"x\.jsonl: line 2 cannot be read"):
+        read_json_lines(path)
+    with append_json_lines(path) as add:
+        add({"c": 3})
+    assert path.read_bytes() == data + b'{"c": 3}\n'
