@@ -4,6 +4,7 @@ import dataclasses
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,7 +122,7 @@ class SmallDataset:
             start += shard.count
 
     def write_shard(
-        self, name: str, samples: Sequence[Sample], **changes: str
+        self, name: str, samples: Sequence[Sample], **changes: Any
     ) -> None:
         attributes = ShardAttributes(
             split=name.split("-")[0],
@@ -129,6 +130,7 @@ class SmallDataset:
             package_version="0.1.0",
             drake_version="1.51.1",
             dataset=self.manifest.fingerprint(),
+            index=int(Path(name).stem.split("-")[1]),
         )
         write_shard(
             self.folder / name,

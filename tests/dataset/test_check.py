@@ -115,10 +115,12 @@ def test_a_shard_of_another_place_is_found(
     own_dataset.write_shard("train-00000.h5", samples[:1])
     own_dataset.write_shard("train-00001.h5", samples[2:4], split="test")
     own_dataset.write_shard("test-00001.h5", samples[-1:], dataset="other")
+    own_dataset.write_shard("train-00002.h5", samples[4:5], index=1)
     assert _lines(check_dataset(own_dataset.folder, deep=deep)) == [
         "test-00001.h5: belongs to another dataset, 'other'",
-        "train-00000.h5: 1 samples instead of 2",
+        "train-00000.h5: has 1 samples instead of 2",
         "train-00001.h5: belongs to split 'test'",
+        "train-00002.h5: is number 1 of its split, renamed",
     ]
 
 
@@ -138,7 +140,7 @@ def test_images_of_another_size_are_found(own_dataset: Any) -> None:
     write_manifest(own_dataset.folder, manifest)
     lines = _lines(check_dataset(own_dataset.folder))
     assert len(lines) == 3 * 6  # they belong to another dataset, too
-    assert "train-00000.h5: images are (24, 32), not (24, 40)" in lines
+    assert "train-00000.h5: has images of (24, 32), not (24, 40)" in lines
     assert "train-00000.h5: lacks colour images" in lines
 
 

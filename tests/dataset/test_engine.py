@@ -9,6 +9,7 @@ import pytest
 from pytest import MonkeyPatch
 
 from tests.dataset.test_generator import plan
+from tests.test_files import dead_pid
 from xray_drake.dataset import engine
 from xray_drake.dataset.check import check_dataset
 from xray_drake.dataset.engine import open_dataset, run_processes, run_ray
@@ -64,7 +65,7 @@ def test_only_what_is_missing_or_damaged_is_made_again(made: Path) -> None:
     whole = first.read_bytes()
     first.write_bytes(flipped)
     second.unlink()
-    (made / ".train-00002.h5.1.part").write_bytes(b"begun")
+    (made / f".train-00002.h5.{dead_pid()}.part").write_bytes(b"begun")
     told: list[tuple[Path, str]] = []
     try:
         missing = open_dataset(
@@ -78,6 +79,14 @@ def test_only_what_is_missing_or_damaged_is_made_again(made: Path) -> None:
     finally:
         first.write_bytes(whole)
         second.write_bytes(kept)
+
+
+def test_what_a_living_process_writes_is_left_alone(tmp_path: Path) -> None:
+    open_dataset(tmp_path, small(), resume=False)
+    part = tmp_path / f".train-00000.h5.{os.getppid()}.part"
+    part.write_bytes(b"half a shard")
+    open_dataset(tmp_path, small(), resume=True)
+    assert part.is_file()
 
 
 def test_a_folder_that_is_something_else(made: Path, tmp_path: Path) -> None:

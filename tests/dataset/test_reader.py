@@ -15,7 +15,7 @@ from xray_drake.dataset import reader as reader_module
 from xray_drake.dataset.augmentation import Augmentation
 from xray_drake.dataset.manifest import DatasetError
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
-from xray_drake.dataset.shards import ShardError
+from xray_drake.dataset.shards import ForeignShardError, ShardError
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 
 
@@ -196,6 +196,34 @@ def test_a_missing_shard_is_named(own_dataset: Any) -> None:
         OccupancyDataset(own_dataset.folder)
     assert len(OccupancyDataset(own_dataset.folder, split="test")) == 3
     assert len(OccupancyDataset(own_dataset.folder, incomplete=True)) == 9
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"dataset": "0123"}, "belongs to another dataset, '0123'"),
+        ({"split": "train"}, "belongs to split 'train'"),
+        ({"index": 0}, "is number 0 of its split, renamed"),
+        ({"format_version": 2}, "has format version 2"),
+    ],
+)
+@pytest.mark.parametrize("incomplete", [False, True])
+def test_a_shard_of_another_place_is_refused(
+    own_dataset: Any, changes: Any, line: str, incomplete: bool
+) -> None:
+    own_dataset.write_shard(
+        "test-00001.h5", own_dataset.samples[-1:], **changes
+    )
+    OccupancyDataset(own_dataset.folder, split="train")
+    with pytest.raises(ForeignShardError, match=rf"test-00001\.h5 {line}"):
+        OccupancyDataset(own_dataset.folder, incomplete=incomplete)
+
+
+def test_a_shard_of_another_size_is_refused(own_dataset: Any) -> None:
+    own_dataset.write_shard("test-00000.h5", own_dataset.samples[-3:])
+    with pytest.raises(ShardError, match="has 3 samples instead of 2"):
+        OccupancyDataset(own_dataset.folder)
+    assert not _open_files(own_dataset.folder)
 
 
 @pytest.mark.parametrize(

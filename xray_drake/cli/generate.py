@@ -1,6 +1,5 @@
 """``xray-drake generate``."""
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,7 +28,17 @@ from xray_drake.dataset.engine import (
     run_ray,
 )
 from xray_drake.dataset.generator import ShardReport, plan_dataset
-from xray_drake.dataset.manifest import Manifest
+from xray_drake.dataset.manifest import MANIFEST_NAME, Manifest, check_same
+from xray_drake.files import append_json_lines, sole_writer
+from xray_drake.provenance import (
+    Provenance,
+    Run,
+    check_resumable,
+    current,
+    describe,
+    read_runs,
+    record_run,
+)
 from xray_drake.splits import SPLITS
 from xray_drake.station.objects import imported_objects
 from xray_drake.station.scenario import ScenarioError
@@ -58,6 +67,7 @@ class GenerateOptions:
         workers: processes.
         cluster: address of a Ray cluster, or "".
         resume: go on with what the folder holds.
+        mix: even where other code has made that.
     """
 
     out: Path
@@ -75,6 +85,7 @@ class GenerateOptions:
     workers: int
     cluster: str
     resume: bool
+    mix: bool = False
 
 
 class _Rate(ProgressColumn):
@@ -91,13 +102,38 @@ def run(options: GenerateOptions, console: Console) -> None:
         RuntimeError: a shard could not be made.
     """
     manifest = _plan(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    with sole_writer(options.out):
+        _generate(options, manifest, console)
+
+
+def _generate(
+    options: GenerateOptions, manifest: Manifest, console: Console
+) -> None:
+    out, now = options.out, current()
+    resumed = options.resume and any(
+        (out / shard.name).is_file() for shard in manifest.expected_shards()
+    )
+    if resumed:
+        check_resumable(out, now, mix=options.mix)
+    if options.resume and (out / MANIFEST_NAME).is_file():
+        manifest = check_same(out, manifest, mix=options.mix)
     missing = open_dataset(
-        options.out,
+        out,
         manifest,
         resume=options.resume,
         damaged=lambda path, reason: console.print(
-            f"{reason}: it is made again", highlight=False
+            f"{reason}: it is made again", highlight=False, soft_wrap=True
         ),
+    )
+    settings = {
+        name: manifest.to_dict()[name]
+        for name in ("splits", "targets", "options", "meshes")
+    }
+    record_run(
+        out,
+        Run("generate", now, manifest.scenario, [manifest.seed], settings),
+        resumed=resumed,
     )
     done = manifest.num_samples - sum(shard.count for shard in missing)
     if options.overrides.get("scene.meshes"):
@@ -127,13 +163,16 @@ def run(options: GenerateOptions, console: Console) -> None:
             bars.update(task, advance=samples - under_way.get(name, 0))
             under_way[name] = samples
 
-        with (options.out / LOG).open("a", encoding="utf-8") as log:
+        with append_json_lines(out / LOG) as log:
             for report in _run(options, manifest, missing, progress):
                 reports.append(report)
-                log.write(json.dumps(report.to_dict()) + "\n")
-                log.flush()
-    _summarize(
-        options.out, manifest, reports, time.monotonic() - start, console
+                log(report.to_dict())
+    _summarize(out, manifest, reports, time.monotonic() - start, console)
+    made_by = map(Provenance.from_dict, read_runs(out))
+    console.print(
+        describe(made_by, seeds=[manifest.seed]),
+        highlight=False,
+        soft_wrap=True,
     )
 
 

@@ -24,6 +24,7 @@ from xray_drake.cli.options import (
     Grasps,
     Horizon,
     Meshes,
+    Mix,
     NumObjects,
     Occupancies,
     Occupancy,
@@ -188,6 +189,7 @@ def benchmark(
             help="Go on with what the folder holds, or refuse it.",
         ),
     ] = True,
+    mix: Mix = False,
 ) -> None:
     """Run policies on the same heaps and print the paper's Table II.
 
@@ -220,6 +222,7 @@ def benchmark(
                 seeds=range(seed, seed + heaps),
                 workers=workers,
                 resume=resume,
+                mix=mix,
             ),
             Console(),
         )
@@ -282,6 +285,7 @@ def generate(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with what is there.")
     ] = False,
+    mix: Mix = False,
 ) -> None:
     """Make a dataset of labelled images."""
     from xray_drake.cli.generate import GenerateOptions, run
@@ -306,6 +310,7 @@ def generate(
                 workers=workers,
                 cluster=cluster,
                 resume=resume,
+                mix=mix,
             ),
             Console(),
         )

@@ -102,6 +102,14 @@ Grasps = Annotated[
         "depth image alone."
     ),
 ]
+Mix = Annotated[
+    bool,
+    typer.Option(
+        "--mix",
+        help="Go on even with what other code, weights, versions or number "
+        "type have made; reports say so.",
+    ),
+]
 Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 
 OfSplit = Annotated[str | None, typer.Option(help=f"{one_of(SPLITS)}.")]

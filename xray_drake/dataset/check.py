@@ -19,7 +19,12 @@ from xray_drake.dataset.manifest import (
     read_manifest,
 )
 from xray_drake.dataset.sample import Sample, SampleKey, problems
-from xray_drake.dataset.shards import ShardError, ShardReader, verify_shard
+from xray_drake.dataset.shards import (
+    ShardError,
+    ShardReader,
+    shard_problems,
+    verify_shard,
+)
 
 FULLY_VISIBLE = 0.99
 """Visible fraction from which a target counts as fully visible."""
@@ -260,7 +265,7 @@ class _Job:
         self, shard: ShardReader, expected: ExpectedShard, result: _ShardResult
     ) -> None:
         name = expected.name
-        for problem in self._shard_problems(shard, expected):
+        for problem in shard_problems(shard, self.manifest, expected):
             result.defects.append(Defect(name, problem))
         attributes = shard.attributes
         result.versions = attributes.package_version, attributes.drake_version
@@ -285,24 +290,6 @@ class _Job:
             result.defects += [
                 Defect(name, line, index, str(key)) for line in lines
             ]
-
-    def _shard_problems(
-        self, shard: ShardReader, expected: ExpectedShard
-    ) -> Iterator[str]:
-        attributes, manifest = shard.attributes, self.manifest
-        if len(shard) != expected.count:
-            yield f"{len(shard)} samples instead of {expected.count}"
-        if attributes.split != expected.split:
-            yield f"belongs to split {attributes.split!r}"
-        if attributes.dataset != manifest.fingerprint():
-            yield f"belongs to another dataset, {attributes.dataset!r}"
-        if shard.shape != (manifest.height, manifest.width):
-            yield (
-                f"images are {shard.shape}, not "
-                f"{(manifest.height, manifest.width)}"
-            )
-        if shard.has_color != manifest.color:
-            yield ("has" if shard.has_color else "lacks") + " colour images"
 
 
 def _statistics(sample: Sample, split: str) -> SampleStatistics:

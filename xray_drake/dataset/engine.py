@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 from xray_drake.dataset.generator import ShardReport, make_shard
@@ -13,7 +14,12 @@ from xray_drake.dataset.manifest import (
     check_same,
     write_manifest,
 )
-from xray_drake.dataset.shards import ShardError, verify_shard
+from xray_drake.dataset.shards import (
+    ForeignShardError,
+    ShardError,
+    open_shard,
+    verify_shard,
+)
 from xray_drake.files import remove_leftovers, write_whole_file
 from xray_drake.processes import ATTEMPTS, Died, Failed, JobProcesses, Sent
 from xray_drake.threads import limit_threads
@@ -31,11 +37,14 @@ def open_dataset(
 ) -> tuple[ExpectedShard, ...]:
     """Begins a dataset, or takes one up again.
 
+    For a :func:`xray_drake.files.sole_writer` of the folder.
+
     Args:
         folder: made if it does not exist.
         manifest: what is to be in it.
         resume: take up what a folder holds; otherwise it must hold none.
-        damaged: told of a file that is removed, to be made again.
+        damaged: told of a shard that is made again: a damaged one is removed,
+            one that belongs elsewhere gets another name.
 
     Returns:
         The shards that are missing.
@@ -66,12 +75,23 @@ def open_dataset(
         if path.is_file():
             try:
                 verify_shard(path)
+                open_shard(folder, manifest, shard).close()
                 continue
+            except ForeignShardError as error:
+                aside = _aside(path)
+                damaged(path, f"{error.reason} (kept as {aside.name})")
+                path.rename(aside)
             except ShardError as error:
                 damaged(path, str(error))
                 path.unlink()
         missing.append(shard)
     return tuple(missing)
+
+
+def _aside(path: Path) -> Path:
+    """Returns a name for somebody's file that is in the way."""
+    names = (path.with_name(f"{path.name}.aside{n or ''}") for n in count())
+    return next(name for name in names if not name.exists())
 
 
 def run_processes(

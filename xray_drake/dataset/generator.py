@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -13,7 +12,6 @@ from zlib import crc32
 import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
-from xray_drake import __version__
 from xray_drake.dataset.check import TILTED
 from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
@@ -22,6 +20,7 @@ from xray_drake.dataset.shards import ShardAttributes, write_shard
 from xray_drake.occupancy.exact import ExactInference
 from xray_drake.occupancy.exact_label import exact_label
 from xray_drake.occupancy.label import occupancy_label
+from xray_drake.provenance import versions
 from xray_drake.scene.cameras import sample_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
@@ -135,8 +134,8 @@ def plan_dataset(
         color=color,
         meshes=tuple(scenario.scene.meshes),
         options={"label": label},
-        drake_version=version("drake"),
-        package_version=__version__,
+        drake_version=versions()["drake"],
+        package_version=versions()["xray_drake"],
     )
 
 
@@ -178,9 +177,11 @@ def make_shard(
             ShardAttributes(
                 split=shard.split,
                 scenario=manifest.scenario,
-                package_version=manifest.package_version,
-                drake_version=manifest.drake_version,
+                # Of what makes it: a dataset may be gone on with by another.
+                package_version=versions()["xray_drake"],
+                drake_version=versions()["drake"],
                 dataset=manifest.fingerprint(),
+                index=shard.index,
             ),
         )
     return ShardReport(

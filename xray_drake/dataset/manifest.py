@@ -17,6 +17,10 @@ FORMAT_VERSION = 1
 """Of the manifest and of the shards."""
 
 
+_VERSIONS = ("drake_version", "package_version")
+"""Fields that say by what a dataset was begun."""
+
+
 class DatasetError(ValueError):
     """A dataset that cannot be used: what, where, what to do."""
 
@@ -184,22 +188,37 @@ def read_manifest(folder: Path) -> Manifest:
         raise DatasetError(f"{path} is damaged: {error}") from error
 
 
-def check_same(folder: Path, manifest: Manifest) -> None:
+def check_same(
+    folder: Path, manifest: Manifest, *, mix: bool = False
+) -> Manifest:
     """Checks that a folder's dataset is the one that is to be continued.
+
+    Args:
+        folder: of the dataset.
+        manifest: of what is to be continued.
+        mix: it may have been begun by other versions.
+
+    Returns:
+        The folder's manifest; but for versions it is the same.
 
     Raises:
         DatasetError: it is another one; names the first field that differs.
     """
-    found = read_manifest(folder).to_dict()
+    begun = read_manifest(folder)
     # As JSON gives it back: lists for tuples.
-    wanted = json.loads(json.dumps(manifest.to_dict()))
-    for name, value in json.loads(json.dumps(found)).items():
+    found, wanted = (
+        json.loads(json.dumps(each.to_dict())) for each in (begun, manifest)
+    )
+    for name, value in found.items():
+        if mix and name in _VERSIONS:
+            continue
         if value != wanted[name]:
             raise DatasetError(
                 f"{folder} was begun with {_difference(name, value)}, not "
                 f"{_difference(name, wanted[name])}: resume with the same "
                 "arguments, or choose another folder"
             )
+    return begun
 
 
 def _fingerprint(tree: dict[str, Any]) -> str:

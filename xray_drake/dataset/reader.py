@@ -13,7 +13,7 @@ from torch.utils.data import Dataset
 from xray_drake.dataset.images import LabelledImages, downscale
 from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.sample import Sample, SampleKey
-from xray_drake.dataset.shards import ShardReader
+from xray_drake.dataset.shards import ShardReader, open_shard
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 from xray_drake.seeding import stream
 from xray_drake.splits import SPLITS
@@ -82,8 +82,8 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
             incomplete: take what is there of a dataset that is being made.
 
         Raises:
-            DatasetError: the folder is no dataset, a shard is missing or
-                damaged.
+            DatasetError: the folder is no dataset, a shard is missing,
+                damaged or of another dataset.
             NoSampleError: nothing is left.
             ValueError: an argument is none of those allowed.
         """
@@ -133,7 +133,7 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
                 )
             shard_index = len(self._paths)
             self._paths.append(path)
-            with ShardReader(path) as shard:
+            with open_shard(self.folder, manifest, expected) as shard:
                 target_size = shard.rows("target_size")
                 intrinsics = shard.rows("intrinsics")
                 for index, key in enumerate(shard.keys):

@@ -21,7 +21,12 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from xray_drake.dataset.manifest import FORMAT_VERSION, DatasetError
+from xray_drake.dataset.manifest import (
+    FORMAT_VERSION,
+    DatasetError,
+    ExpectedShard,
+    Manifest,
+)
 from xray_drake.dataset.sample import (
     IMAGES,
     METRES_PER_COUNT,
@@ -58,6 +63,21 @@ class ShardError(DatasetError):
     """A shard that is damaged or is none: which, and what is wrong."""
 
 
+class ForeignShardError(ShardError):
+    """A shard that is whole, but not the one that should be there.
+
+    Attributes:
+        reason: what is wrong, without what to do.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(
+            f"{reason}: 'xray-drake generate --resume' puts it aside and makes "
+            "the right one"
+        )
+        self.reason = reason
+
+
 @dataclass(frozen=True)
 class ShardAttributes:
     """What all samples of a shard have in common.
@@ -68,6 +88,8 @@ class ShardAttributes:
         package_version: of ``xray_drake``.
         drake_version: of the Drake that simulated and rendered.
         dataset: ``Manifest.fingerprint()`` of the dataset it belongs to.
+        index: its number within the split; −1 of an older ``xray_drake``,
+            which did not write it.
         format_version: of the shard.
     """
 
@@ -76,6 +98,7 @@ class ShardAttributes:
     package_version: str
     drake_version: str
     dataset: str = ""
+    index: int = -1
     format_version: int = FORMAT_VERSION
 
 
@@ -202,6 +225,7 @@ class ShardReader:
                 package_version=str(stored["package_version"]),
                 drake_version=str(stored["drake_version"]),
                 dataset=str(stored["dataset"]),
+                index=int(stored.get("index", -1)),
                 format_version=int(stored["format_version"]),
             )
 
@@ -300,7 +324,7 @@ class ShardReader:
                 version = self._file.attrs["format_version"]
             self._pid = os.getpid()
             if version != FORMAT_VERSION:
-                raise ShardError(
+                raise ForeignShardError(
                     f"{self.path} has format version {version}; this "
                     f"xray-drake reads {FORMAT_VERSION}"
                 )
@@ -319,6 +343,58 @@ class ShardReader:
         dataset = self._dataset(name)
         with _naming_damage(self.path):
             return [bytes(text).decode() for text in dataset[:]]
+
+
+def open_shard(
+    folder: Path, manifest: Manifest, expected: ExpectedShard
+) -> ShardReader:
+    """Opens a shard of a dataset; what does not belong to it is refused.
+
+    Args:
+        folder: of the dataset.
+        manifest: of the dataset.
+        expected: which of its shards.
+
+    Raises:
+        ForeignShardError: it is another one, or another dataset's.
+        ShardError: it is damaged.
+        OSError: it cannot be read at all.
+    """
+    shard = ShardReader(folder / expected.name)
+    try:
+        for problem in shard_problems(shard, manifest, expected):
+            raise ForeignShardError(f"{shard.path} {problem}")
+    except BaseException:
+        shard.close()
+        raise
+    return shard
+
+
+def shard_problems(
+    shard: ShardReader, manifest: Manifest, expected: ExpectedShard
+) -> Iterator[str]:
+    """Yields in what a shard is not the one that is expected.
+
+    Raises:
+        ShardError: it is damaged.
+        OSError: it cannot be read at all.
+    """
+    attributes = shard.attributes
+    if attributes.dataset != manifest.fingerprint():
+        yield f"belongs to another dataset, {attributes.dataset!r}"
+    if attributes.split != expected.split:
+        yield f"belongs to split {attributes.split!r}"
+    if attributes.index not in (-1, expected.index):
+        yield f"is number {attributes.index} of its split, renamed"
+    if len(shard) != expected.count:
+        yield f"has {len(shard)} samples instead of {expected.count}"
+    if shard.shape != (manifest.height, manifest.width):
+        yield (
+            f"has images of {shard.shape}, not "
+            f"{(manifest.height, manifest.width)}"
+        )
+    if shard.has_color != manifest.color:
+        yield ("has" if shard.has_color else "lacks") + " colour images"
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from xray_drake.dataset.manifest import read_manifest
-from xray_drake.dataset.shards import ShardReader
+from xray_drake.dataset.shards import open_shard
 from xray_drake.training.config import TrainConfig, TrainingError, single_box
 
 _SAME = 5e-4
@@ -46,11 +46,11 @@ def _size_of(
     name: str, datasets: Sequence[Path]
 ) -> tuple[float, float, float] | None:
     for dataset in datasets:
-        for expected in read_manifest(dataset).expected_shards():
-            path = dataset / expected.name
-            if not path.is_file():
+        manifest = read_manifest(dataset)
+        for expected in manifest.expected_shards():
+            if not (dataset / expected.name).is_file():
                 continue
-            with ShardReader(path) as shard:
+            with open_shard(dataset, manifest, expected) as shard:
                 for key, size in zip(
                     shard.keys, shard.rows("target_size"), strict=True
                 ):

@@ -12,6 +12,7 @@ import io
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,9 +26,9 @@ from xray_drake.dataset.images import labelled_images
 from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardReader
+from xray_drake.dataset.shards import ShardReader, open_shard
 from xray_drake.dataset.virtual import HIDDEN, is_virtual, virtual_sample
-from xray_drake.files import write_whole_file
+from xray_drake.files import remove_leftovers, sole_writer, write_whole_file
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.networks.inputs import (
     geometry_input,
@@ -124,7 +125,8 @@ def plan(
         incomplete: leave out shards that are missing.
 
     Raises:
-        DatasetError: a dataset that cannot be read, or lacks a shard.
+        DatasetError: a dataset that cannot be read, or lacks a shard, or holds
+            one of another.
     """
     planned = []
     for dataset in datasets:
@@ -134,7 +136,10 @@ def plan(
             name = _item_name(
                 fingerprint, expected.name, config, validation_share
             )
-            planned.append((dataset / expected.name, folder / name))
+            shard = dataset / expected.name
+            if shard.is_file():
+                open_shard(dataset, manifest, expected).close()
+            planned.append((shard, folder / name))
     jobs = [job for job in planned if job[0].is_file()]
     if len(jobs) < len(planned) and not incomplete:
         absent = next(shard for shard, _ in planned if not shard.is_file())
@@ -165,6 +170,7 @@ def prepare(
 
     Raises:
         ShardError: a damaged shard.
+        InUseError: another process makes items in their folder.
         OSError: the items cannot be written.
     """
     missing = [job for job in jobs if not job[1].is_file()]
@@ -172,14 +178,20 @@ def prepare(
     yield done
     if not missing:
         return
-    for _, path in missing:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    folders = sorted({path.parent for _, path in missing})
     limit_threads()
     context = get_context("forkserver")
     # Forked from a server that has imported everything, a process starts at
     # once; one that is spawned takes seconds.
     context.set_forkserver_preload(["xray_drake.training.prepare"])
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with ExitStack() as stack:
+        for folder in folders:
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(sole_writer(folder))
+            remove_leftovers(folder)
+        pool = stack.enter_context(
+            ProcessPoolExecutor(workers, mp_context=context)
+        )
         futures = [
             pool.submit(prepare_shard, *job, config, validation_share)
             for job in missing

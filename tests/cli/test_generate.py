@@ -1,0 +1,184 @@
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.running import answer
+from tests.dataset.conftest import synthetic_sample
+from xray_drake.cli import generate as module
+from xray_drake.dataset.generator import ShardReport
+from xray_drake.dataset.manifest import ExpectedShard, Manifest, read_manifest
+from xray_drake.dataset.shards import (
+    ShardAttributes,
+    ShardReader,
+    write_shard,
+)
+from xray_drake.files import read_json_lines, sole_writer
+from xray_drake.provenance import MANIFEST, read_runs
+
+generate = partial(
+    answer, "generate", "--images", 2, "--shard-size", 1, "--num-objects", 2
+)
+
+
+@pytest.fixture(autouse=True)
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Makes shards without a simulation; names of what is made."""
+    names: list[str] = []
+
+    def run(
+        options: module.GenerateOptions,
+        manifest: Manifest,
+        missing: Sequence[ExpectedShard],
+        progress: Any,
+    ) -> Iterator[ShardReport]:
+        for shard in missing:
+            samples = [
+                synthetic_sample(shard.first, shape=(384, 512)),
+            ]
+            attributes = ShardAttributes(
+                split=shard.split,
+                scenario=manifest.scenario,
+                package_version="0.1.0",
+                drake_version="1.51.1",
+                dataset=manifest.fingerprint(),
+                index=shard.index,
+            )
+            write_shard(options.out / shard.name, samples, attributes)
+            names.append(shard.name)
+            yield ShardReport(shard.name, 1, 1, (), 1.0)
+
+    monkeypatch.setattr(module, "_run", run)
+    return names
+
+
+@pytest.fixture
+def folder(tmp_path: Path, made: list[str]) -> Path:
+    path = tmp_path / "dataset"
+    code, out, err = generate(path)
+    assert (code, err) == (0, "")
+    assert "Made by code" in out
+    assert made == ["train-00000.h5", "train-00001.h5"]
+    made.clear()
+    return path
+
+
+def line_of(answered: tuple[int, str, str]) -> str:
+    """Returns the one line of bad input."""
+    code, _, err = answered
+    assert code == 2
+    (line,) = err.splitlines()
+    return line
+
+
+def test_a_manifest_lies_beside_the_shards(folder: Path) -> None:
+    (run,) = read_runs(folder)
+    assert run["command"] == "generate"
+    assert (run["seeds"], run["weights"], run["number_type"]) == ([0], {}, "")
+    assert run["scenario"] == read_manifest(folder).scenario
+    assert run["settings"]["splits"]["train"] == 2
+    assert "Made by" in answer("dataset", "info", folder)[1]
+
+
+def test_a_dataset_has_one_writer(folder: Path, made: list[str]) -> None:
+    (folder / "train-00001.h5").unlink()
+    with sole_writer(folder):
+        for options in ([], ["--resume"], ["--resume", "--mix"]):
+            line = line_of(generate(folder, *options))
+            assert "is being written by another process" in line
+            assert str(folder) in line
+    assert made == []
+    assert generate(folder, "--resume")[0] == 0
+    assert made == ["train-00001.h5"]
+
+
+def test_a_copy_made_while_it_was_written_is_gone_on_with(
+    folder: Path, tmp_path: Path, made: list[str]
+) -> None:
+    (folder / "train-00001.h5").unlink()
+    with (folder / module.LOG).open("a") as log:
+        log.write('{"name": "tra')
+    with sole_writer(folder):
+        copy = shutil.copytree(folder, tmp_path / "copy")
+    assert (copy / ".lock").exists()
+    code, _, _ = generate(copy, "--resume")
+    assert code == 0
+    assert made == ["train-00001.h5"]
+    assert len(read_json_lines(copy / module.LOG)) == 3
+    assert not list(copy.glob(".*"))
+
+
+@pytest.mark.parametrize("seed", [0, 7], ids=["renamed", "foreign"])
+def test_a_shard_that_belongs_elsewhere_is_put_aside(
+    seed: int, folder: Path, tmp_path: Path, made: list[str]
+) -> None:
+    other = tmp_path / "other"
+    generate(other, "--seed", seed)
+    made.clear()
+    foreign = (other / "train-00001.h5").read_bytes()
+    (folder / "train-00000.h5").write_bytes(foreign)
+    code, out, _ = generate(folder, "--resume")
+    assert code == 0
+    assert made == ["train-00000.h5"]
+    assert "kept as train-00000.h5.aside): it is made again" in out
+    assert (folder / "train-00000.h5.aside").read_bytes() == foreign
+    with ShardReader(folder / "train-00000.h5") as shard:
+        assert shard.attributes.index == 0
+    # A second one does not take its place.
+    (folder / "train-00000.h5").write_bytes(foreign)
+    generate(folder, "--resume")
+    assert (folder / "train-00000.h5.aside1").is_file()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "named"),
+    [
+        ("code", "0123", "code 0123"),
+        ("versions", {"drake": "1.40.0"}, "drake 1.40.0, now"),
+    ],
+)
+def test_other_code_does_not_go_on(
+    field: str, value: Any, named: str, folder: Path, made: list[str]
+) -> None:
+    (folder / "train-00001.h5").unlink()
+    path = folder / MANIFEST
+    tree = json.loads(path.read_text("utf-8"))
+    tree["runs"][0][field] = value
+    path.write_text(json.dumps(tree), "utf-8")
+    assert named in line_of(generate(folder, "--resume"))
+    assert made == []
+    code, out, _ = generate(folder, "--resume", "--mix")
+    assert code == 0
+    assert made == ["train-00001.h5"]
+    assert "**Mixed**" in out
+    assert "**Mixed**" in answer("dataset", "info", folder)[1]
+
+
+def test_other_versions_go_on_with_the_dataset_that_was_begun(
+    folder: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "train-00001.h5").unlink()
+    begun = read_manifest(folder)
+    newer = {"xray_drake": "9.0", "drake": "9.0"}
+    monkeypatch.setattr("xray_drake.dataset.generator.versions", lambda: newer)
+    assert "begun with drake_version" in line_of(generate(folder, "--resume"))
+    assert generate(folder, "--resume", "--mix")[0] == 0
+    assert read_manifest(folder) == begun
+    with ShardReader(folder / "train-00001.h5") as shard:
+        assert shard.attributes.dataset == begun.fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [(("--seed", 3), "seed 0"), (("--images", 3), "splits")],
+)
+def test_other_options_are_another_dataset(
+    options: tuple, named: str, folder: Path, made: list[str]
+) -> None:
+    line = line_of(generate(folder, "--resume", *options))
+    assert f"begun with {named}" in line
+    assert made == []
