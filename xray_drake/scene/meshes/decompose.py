@@ -1,11 +1,19 @@
 """Splits solids into few convex pieces without filling what is hollow."""
 
+from collections.abc import Sequence
+
 import coacd
 import fast_simplification
 import manifold3d
 import numpy as np
 import trimesh
 
+from xray_drake.scene.meshes.closing import closed_solid
+from xray_drake.scene.meshes.losses import (
+    Losses,
+    LossLimits,
+    measure_losses,
+)
 from xray_drake.scene.meshes.pieces import (
     grown_to,
     hull_vertices,
@@ -13,7 +21,6 @@ from xray_drake.scene.meshes.pieces import (
     merged_pieces,
     simplified_hull,
 )
-from xray_drake.scene.meshes.reading import closed_surface
 from xray_drake.scene.meshes.solids import (
     SMALLEST_PIECE,
     parts,
@@ -31,6 +38,9 @@ COACD_THRESHOLD = 0.08
 CONVEX_ENOUGH = 0.97
 """A solid that fills this much of its hull is one piece."""
 
+FEW_PIECES = 8
+"""As many are tried first: contact costs follow them."""
+
 SLABS = (0.0, 0.03, 0.05, 0.08, 0.12, 0.18, 0.25)
 """Floors tried under the staves of a barrel, as shares of its height."""
 
@@ -39,35 +49,50 @@ _GENTLE = 3
 
 
 def convex_pieces(
-    mesh: trimesh.Trimesh, max_pieces: int, max_vertices: int
-) -> list[np.ndarray]:
+    mesh: trimesh.Trimesh,
+    convex: Sequence[np.ndarray],
+    max_pieces: int,
+    max_vertices: int,
+    limits: LossLimits,
+) -> tuple[list[np.ndarray], Losses]:
     """Splits a closed mesh into convex pieces.
 
     CoACD, whose many fine pieces are merged by least added volume, competes
     with cutting like a barrel: an end and staves about a principal axis, which
-    suits cups and bowls. The one that differs by less volume is taken.
+    suits cups and bowls. The one that differs by less volume is taken. Where
+    few pieces lose too much, twice as many are made.
 
     Args:
         mesh: closed, m.
+        convex: (n, 3) vertices of the convex bodies that it is made of, if it
+            is; they take the place of CoACD's pieces.
         max_pieces: how many pieces there may be.
         max_vertices: how many vertices each may have.
+        limits: what the pieces should not lose.
 
     Returns:
-        (n, 3) vertices of each piece, m.
+        (n, 3) vertices of each piece, m, and what they lose.
     """
     whole = solid(mesh)
-    hull = whole.hull()
-    if max_pieces == 1 or whole.volume() > CONVEX_ENOUGH * hull.volume():
+    filled = whole.volume() / whole.hull().volume()
+    if max_pieces == 1 or filled > CONVEX_ENOUGH:
         vertices = np.asarray(mesh.vertices, dtype=float)
-        return simplified_pieces([hull_vertices(vertices)], max_vertices)
-    fine = coacd_pieces(mesh)
-    candidates = [
-        simplified_pieces(merged_pieces(fine, max_pieces), max_vertices)
-    ]
-    if whole.volume() < 0.7 * hull.volume() and max_pieces >= 4:
-        staves = staves_and_floor(mesh, max_pieces)
-        candidates.append(simplified_pieces(staves, max_vertices))
-    return min(candidates, key=lambda pieces: _difference(whole, pieces))
+        pieces = simplified_pieces([hull_vertices(vertices)], max_vertices)
+        return pieces, measure_losses(mesh, pieces)
+    fine = list(convex) or coacd_pieces(mesh)
+    count = min(FEW_PIECES, max_pieces)
+    while True:
+        candidates = [
+            simplified_pieces(merged_pieces(fine, count), max_vertices)
+        ]
+        if not convex and filled < 0.7 and count >= 4:
+            staves = staves_and_floor(mesh, count)
+            candidates.append(simplified_pieces(staves, max_vertices))
+        pieces = min(candidates, key=lambda made: _difference(whole, made))
+        losses = measure_losses(mesh, pieces)
+        if count == max_pieces or not limits.exceeded(losses):
+            return pieces, losses
+        count = min(2 * count, max_pieces)
 
 
 def simplified_pieces(
@@ -91,14 +116,12 @@ def simplified_pieces(
 
 
 def coacd_pieces(
-    mesh: trimesh.Trimesh, *, preprocess: str = "off"
+    mesh: trimesh.Trimesh,
 ) -> list[np.ndarray]:
     """Splits a mesh into many fine convex pieces with CoACD.
 
     Args:
         mesh: closed, m.
-        preprocess: CoACD's ``preprocess_mode``; "on" takes open meshes too
-            but thickens thin walls and takes ten times as long.
 
     Returns:
         (n, 3) vertices of each piece, m.
@@ -108,8 +131,7 @@ def coacd_pieces(
     found = coacd.run_coacd(
         coacd.Mesh(coarse.vertices, coarse.faces),
         threshold=COACD_THRESHOLD,
-        preprocess_mode=preprocess,
-        preprocess_resolution=40,
+        preprocess_mode="off",
         resolution=500,
         mcts_nodes=10,
         mcts_iterations=20,
@@ -139,11 +161,12 @@ def decimated(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
     if not mesh.is_volume or coarse.is_volume:
         return coarse
     try:
-        mended = closed_surface(coarse)
+        groups = np.zeros(len(coarse.faces), dtype=np.int64)
+        mended = closed_solid(coarse.vertices, coarse.faces, groups)
+        if not mended.repairs:
+            return mended.mesh
     except ValueError:
-        mended = None
-    if mended is not None:
-        return mended
+        pass
     whole = solid(mesh)
     tolerance = mesh.scale * 1e-3
     for _ in range(6):

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-FORMATS = (".obj", ".glb", ".ply", ".stl", ".off")
-"""What is read; of one mesh in several formats the first is taken."""
+from xray_drake.scene.meshes.formats import FORMATS
 
 GENERIC_NAMES = (
     "textured",
@@ -122,24 +121,3 @@ def read_masses(folder: Path) -> dict[str, float]:
     ):
         raise ValueError(f"{path} does not map names to positive masses in kg")
     return {name: float(mass) for name, mass in masses.items()}
-
-
-def side_files(path: Path) -> list[Path]:
-    """Returns the files a mesh refers to, such as materials and textures."""
-    if path.suffix.lower() == ".obj":
-        materials = _named(path, rb"^\s*mtllib\s+(.+?)\s*$")
-        images = [
-            image
-            for material in materials
-            for image in _named(material, rb"^\s*map_\w+\s+(?:.*\s)?(\S+)\s*$")
-        ]
-        return materials + images
-    if path.suffix.lower() == ".ply":
-        return _named(path, rb"^comment TextureFile (.+?)\s*$")
-    return []
-
-
-def _named(path: Path, pattern: bytes) -> list[Path]:
-    names = re.findall(pattern, path.read_bytes(), re.MULTILINE | re.IGNORECASE)
-    paths = [path.parent / name.decode(errors="replace") for name in names]
-    return [side for side in dict.fromkeys(paths) if side.is_file()]

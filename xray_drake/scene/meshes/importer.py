@@ -32,9 +32,10 @@ DEFAULT_DENSITY = 300.0
 LIGHTEST = 0.0005
 """kg. Lighter bodies do not survive contact with the others."""
 
-MAX_PIECES = 8
+MAX_PIECES = 32
 MAX_VERTICES = 12
-"""Of an object's collision shape: contact costs follow them."""
+"""Of an object's collision shape; it has eight pieces at most where they lose
+no more than is allowed, since contact costs follow them."""
 
 DEFAULT_LIMITS = LossLimits()
 
@@ -48,18 +49,23 @@ class MeshImport:
     Attributes:
         models: the objects, in the order of the paths.
         losses: what their collision shapes lose, by name.
+        notes: what was repaired or not used of a file, by the object's name,
+            where there is any.
         rejected: path and reason, one line, of each file that is not used.
         from_cache: how many files had been prepared before.
     """
 
     models: tuple[ObjectModel, ...]
     losses: dict[str, Losses]
+    notes: dict[str, str]
     rejected: tuple[tuple[Path, str], ...]
     from_cache: int
 
     def summary(self) -> str:
         """Returns one line on how many were imported and what they lose."""
         text = f"{len(self.models)} objects imported"
+        if self.notes:
+            text += f", {len(self.notes)} of them with a remark"
         if self.rejected:
             text += f", {len(self.rejected)} files rejected"
         if self.losses:
@@ -91,7 +97,8 @@ def import_meshes(
 ) -> MeshImport:
     """Reads one object per mesh under a folder, in the order of the paths.
 
-    Surfaces are closed where they can be, split into a few convex pieces, and
+    Surfaces are closed where they can be, with one line in the log where that
+    changes more than a little, split into a few convex pieces, and
     put with the centre of mass at the body's origin. The groups of an OBJ file
     that are convex are its pieces. Objects without a texture or colours get a
     colour drawn by name; none is red. Files that cannot be used are
@@ -129,7 +136,7 @@ def import_meshes(
     _check(scale, density, max_pieces, max_vertices, workers)
     files = find_meshes(folder)
     masses = read_masses(folder)
-    settings = Settings(scale, max_pieces, max_vertices)
+    settings = Settings(scale, max_pieces, max_vertices, max_loss)
     cache = default_cache_dir() if cache_dir is None else Path(cache_dir)
 
     outcomes: dict[int, Outcome] = {}
@@ -138,7 +145,7 @@ def import_meshes(
         if progress is not None:
             progress(len(outcomes) / len(files))
 
-    models, rejected, losses = [], [], {}
+    models, rejected, losses, notes = [], [], {}, {}
     for index, file in enumerate(files):
         outcome = outcomes[index]
         try:
@@ -154,11 +161,15 @@ def import_meshes(
             continue
         models.append(model)
         losses[model.name] = lost
+        if len(outcome.prepared.notes):
+            notes[model.name] = "; ".join(map(str, outcome.prepared.notes))
+            _logger.warning("%s: %s", file.path, notes[model.name])
     if not all(outcome.kept for outcome in outcomes.values()):
         _logger.warning("cannot write to %s: next time takes as long", cache)
     result = MeshImport(
         models=tuple(models),
         losses=losses,
+        notes=notes,
         rejected=tuple(rejected),
         from_cache=sum(outcome.cached for outcome in outcomes.values()),
     )

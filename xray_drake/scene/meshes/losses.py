@@ -43,12 +43,8 @@ class LossLimits:
     added: float = 0.45
     silhouette: float = 0.2
 
-    def check(self, losses: Losses) -> None:
-        """Checks losses.
-
-        Raises:
-            ValueError: one is beyond its limit.
-        """
+    def exceeded(self, losses: Losses) -> str:
+        """Says in one line which limit losses exceed; "" if none."""
         for name, words in (
             ("missing", "miss {:.0%} of its volume"),
             ("added", "fill {:.0%} of its hull beyond its volume"),
@@ -56,10 +52,21 @@ class LossLimits:
         ):
             value, limit = getattr(losses, name), getattr(self, name)
             if value > limit:
-                raise ValueError(
+                return (
                     f"its convex pieces {words.format(value)} (limit "
                     f"{limit:.0%}): allow more pieces or vertices"
                 )
+        return ""
+
+    def check(self, losses: Losses) -> None:
+        """Checks losses.
+
+        Raises:
+            ValueError: one is beyond its limit.
+        """
+        reason = self.exceeded(losses)
+        if reason:
+            raise ValueError(reason)
 
 
 def measure_losses(

@@ -7,33 +7,21 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
-from trimesh.visual import ColorVisuals
 
 from xray_drake.scene.meshes.cache import (
     content_key,
     read_arrays,
     write_arrays,
 )
-from xray_drake.scene.meshes.decompose import (
-    coacd_pieces,
-    convex_pieces,
-    decimated,
-    simplified_pieces,
-)
-from xray_drake.scene.meshes.files import side_files
-from xray_drake.scene.meshes.losses import measure_losses
-from xray_drake.scene.meshes.pieces import merged_pieces
-from xray_drake.scene.meshes.reading import (
-    RawMesh,
-    closed_surface,
-    convex_components,
-    read_mesh,
-)
-from xray_drake.scene.meshes.solids import surface, union
+from xray_drake.scene.meshes.closing import closed_solid
+from xray_drake.scene.meshes.decompose import convex_pieces, decimated
+from xray_drake.scene.meshes.formats import side_files
+from xray_drake.scene.meshes.losses import LossLimits
+from xray_drake.scene.meshes.reading import read_mesh
 from xray_drake.scene.meshes.textures import mean_color, read_texture
 from xray_drake.scene.object_model import TexturedMesh
 
-ALGORITHM = 1
+ALGORITHM = 2
 """Raised with every change of what comes of a file, so that caches renew."""
 
 VISUAL_FACES = 5000
@@ -57,11 +45,13 @@ class Settings:
         scale: metres per unit of the file.
         max_pieces: convex pieces an object may have.
         max_vertices: vertices a piece may have.
+        limits: more pieces are made where few would lose more.
     """
 
     scale: float
     max_pieces: int
     max_vertices: int
+    limits: LossLimits = field(default_factory=LossLimits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +68,7 @@ class Prepared:
         volume: m³.
         inertia: (3, 3) about the centre of mass at a density of 1 kg/m³.
         losses: missing, added, volume and silhouette, as in ``Losses``.
+        notes: what was repaired or could not be used, short sentences.
         color: (3,) mean colour, or (0,) where the file has none.
         texture_vertices: (t, 3) float32, (0, 3) without texture; so the rest.
         texture_faces: (f, 3) int32.
@@ -92,6 +83,7 @@ class Prepared:
     volume: np.ndarray
     inertia: np.ndarray
     losses: np.ndarray
+    notes: np.ndarray = field(default_factory=lambda: np.zeros(0, "U1"))
     color: np.ndarray = field(default_factory=lambda: np.zeros(0))
     texture_vertices: np.ndarray = field(
         default_factory=lambda: np.zeros((0, 3), np.float32)
@@ -171,13 +163,20 @@ def prepare(path: Path, settings: Settings) -> Prepared:
         ValueError: it cannot be used; the message says why in one line.
     """
     raw = read_mesh(path, settings.scale)
-    closed, pieces = _shape(raw, settings)
-    losses = measure_losses(closed, pieces)
-    center = np.array(closed.center_mass)
-    closed.density = 1.0
-    shown = _decimated_visual(closed)
-    texture = read_texture(raw.mesh)
-    color = np.zeros(0)
+    closed = closed_solid(raw.vertices, raw.triangles, raw.groups)
+    mesh = closed.mesh
+    pieces, losses = convex_pieces(
+        mesh,
+        closed.convex,
+        settings.max_pieces,
+        settings.max_vertices,
+        settings.limits,
+    )
+    center = np.array(mesh.center_mass)
+    mesh.density = 1.0
+    shown = _decimated_visual(mesh)
+    texture = None if raw.visual is None else read_texture(raw.visual)
+    color = raw.color
     extra = {}
     if texture is not None:
         color = mean_color(texture)
@@ -187,46 +186,19 @@ def prepare(path: Path, settings: Settings) -> Prepared:
             "texture_uv": texture.uv,
             "texture_image": texture.image,
         }
-    elif isinstance(raw.mesh.visual, ColorVisuals) and raw.mesh.visual.defined:
-        color = np.asarray(raw.mesh.visual.face_colors)[:, :3].mean(axis=0)
-        color = color / 255
     return Prepared(
         vertices=np.asarray(shown.vertices) - center,
         faces=np.asarray(shown.faces, dtype=np.int32),
         pieces=np.concatenate(pieces) - center,
         piece_sizes=np.array([len(piece) for piece in pieces]),
-        volume=np.array(closed.volume),
-        inertia=np.array(closed.moment_inertia),
+        volume=np.array(mesh.volume),
+        inertia=np.array(mesh.moment_inertia),
         losses=np.array(
             [losses.missing, losses.added, losses.volume, losses.silhouette]
         ),
+        notes=np.array([*closed.repairs, *raw.notes], dtype=np.str_),
         color=color,
         **extra,
-    )
-
-
-def _shape(
-    raw: RawMesh, settings: Settings
-) -> tuple[trimesh.Trimesh, list[np.ndarray]]:
-    """Returns the closed surface and its simplified convex pieces."""
-    most = settings.max_pieces
-    if raw.groups:
-        hulls = list(raw.groups)
-        closed = surface(union(hulls))
-        return closed, simplified_pieces(
-            merged_pieces(hulls, most), settings.max_vertices
-        )
-    mended = closed_surface(raw.mesh)
-    if mended is None:
-        hulls = coacd_pieces(raw.mesh, preprocess="on")
-    else:
-        hulls = convex_components(mended)
-        if not hulls:
-            return mended, convex_pieces(mended, most, settings.max_vertices)
-    if not hulls:
-        raise ValueError("it is not closed, and CoACD makes nothing of it")
-    return surface(union(hulls)), simplified_pieces(
-        merged_pieces(hulls, most), settings.max_vertices
     )
 
 

@@ -18,9 +18,9 @@ def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
         ValueError: it is not closed.
     """
     made = manifold3d.Manifold(
-        manifold3d.Mesh(
-            np.asarray(mesh.vertices, dtype=np.float32),
-            np.asarray(mesh.faces, dtype=np.uint32),
+        manifold3d.Mesh64(
+            np.array(mesh.vertices, dtype=np.float64, order="C"),
+            np.array(mesh.faces, dtype=np.uint64, order="C"),
         )
     )
     if made.status() != manifold3d.Error.NoError or made.is_empty():
@@ -30,7 +30,7 @@ def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
 
 def surface(made: manifold3d.Manifold) -> trimesh.Trimesh:
     """Returns the mesh of a solid."""
-    mesh = made.to_mesh()
+    mesh = made.to_mesh64()
     return trimesh.Trimesh(
         np.asarray(mesh.vert_properties[:, :3], dtype=float),
         np.asarray(mesh.tri_verts, dtype=np.int64),
@@ -38,14 +38,18 @@ def surface(made: manifold3d.Manifold) -> trimesh.Trimesh:
     )
 
 
+def joined(solids: Iterable[manifold3d.Manifold]) -> manifold3d.Manifold:
+    """Returns the union of solids."""
+    return manifold3d.Manifold.batch_boolean(
+        list(solids), manifold3d.OpType.Add
+    )
+
+
 def union(pieces: Iterable[np.ndarray]) -> manifold3d.Manifold:
     """Returns the union of convex pieces, (n, 3) vertices each."""
-    return manifold3d.Manifold.batch_boolean(
-        [
-            manifold3d.Manifold.hull_points(np.asarray(piece, np.float64))
-            for piece in pieces
-        ],
-        manifold3d.OpType.Add,
+    return joined(
+        manifold3d.Manifold.hull_points(np.asarray(piece, np.float64))
+        for piece in pieces
     )
 
 

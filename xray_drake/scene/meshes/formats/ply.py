@@ -1,0 +1,365 @@
+"""Stanford PLY."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
+
+from xray_drake.scene.meshes.formats.file_mesh import (
+    FileMesh,
+    mean_over_surface,
+    triangulate,
+    unit_colors,
+)
+from xray_drake.scene.meshes.formats.images import find_file, opened_image
+from xray_drake.scene.meshes.formats.text import decoded, numbers
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+@dataclass
+class _Element:
+    """An element of the header and its values.
+
+    Attributes:
+        name: such as ``vertex``.
+        count: how many there are.
+        properties: name, type of the list's length or "", type.
+        scalars: (count,) of each property that is no list.
+        lists: sizes (count,) and flat values of each list.
+    """
+
+    name: str
+    count: int
+    properties: list[tuple[str, str, str]] = field(default_factory=list)
+    scalars: dict[str, np.ndarray] = field(default_factory=dict)
+    lists: dict[str, tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=dict
+    )
+
+
+def read_ply(path: Path) -> FileMesh:
+    """Reads a PLY file, ASCII or binary, with faces of any size or strips.
+
+    Raises:
+        ValueError: it is damaged; the message says where.
+        OSError: it cannot be read.
+    """
+    content = path.read_bytes()
+    order, elements, texture, body = _header(content)
+    if order:
+        _read_binary(elements, content[body:], order)
+    else:
+        _read_ascii(elements, decoded(content[body:]))
+    by_name = {element.name: element for element in elements}
+    points = by_name.get("vertex", _Element("vertex", 0))
+    if not {"x", "y", "z"} <= set(points.scalars):
+        raise ValueError("its vertices have no x, y, z")
+    vertices = np.stack([points.scalars[k] for k in "xyz"], axis=1).astype(
+        float
+    )
+    faces = by_name.get("face", _Element("face", 0))
+    sizes, corners = _corners(faces)
+    strips = by_name.get("tristrips", _Element("tristrips", 0))
+    extra = _strip_triangles(strips)
+    triangles_of = np.concatenate([corners, extra.ravel()]).astype(np.int64)
+    sizes = np.concatenate([sizes, np.full(len(extra), 3)]).astype(np.int64)
+    if len(triangles_of) and not (
+        triangles_of.min() >= 0 and triangles_of.max() < len(vertices)
+    ):
+        raise ValueError(f"a face names a vertex beyond its {len(vertices)}")
+    made = triangulate(vertices[triangles_of], sizes)
+    triangles = triangles_of[made.corners]
+    visual, notes = _visual(
+        path, texture, points, faces, vertices, triangles, made.corners
+    )
+    return FileMesh(
+        vertices=vertices,
+        triangles=triangles,
+        groups=np.zeros(len(triangles), np.int64),
+        visual=visual,
+        color=_color(points, faces, vertices, triangles, made.owners),
+        notes=notes,
+    )
+
+
+def ply_side_files(path: Path) -> list[Path]:
+    """Returns the image that a PLY file names."""
+    _, _, texture, _ = _header(path.read_bytes())
+    found = find_file(path.parent, texture)
+    return [] if found is None else [found]
+
+
+def _header(content: bytes) -> tuple[str, list[_Element], str, int]:
+    """Reads what stands before the values.
+
+    Returns:
+        Byte order, "" for ASCII; elements; image; where the values begin.
+    """
+    end = re.search(rb"(?:^|[\r\n])[ \t]*end_header[ \t]*", content)
+    if content[:3] != b"ply" or end is None:
+        raise ValueError("it has no PLY header")
+    newline = re.match(rb"ply[ \t]*(\r\n|\n|\r)", content)
+    mark = newline.group(1) if newline else b"\n"
+    body = end.end()
+    if content[body : body + len(mark)] == mark:
+        body += len(mark)
+    elements: list[_Element] = []
+    order, texture = "?", ""
+    for line in decoded(content[: end.start()]).split("\n")[1:]:
+        words = line.split()
+        if not words:
+            continue
+        try:
+            if words[0] == "format":
+                order = {
+                    "ascii": "",
+                    "binary_little_endian": "<",
+                    "binary_big_endian": ">",
+                }[words[1]]
+            elif words[0] == "element":
+                elements.append(_Element(words[1], int(words[2])))
+            elif words[0] == "property":
+                length = _TYPES[words[2]] if words[1] == "list" else ""
+                kind = _TYPES[words[-2]]
+                elements[-1].properties.append((words[-1], length, kind))
+            elif words[0] == "comment" and line.split()[1:2] == ["TextureFile"]:
+                texture = line.split(None, 2)[2].strip()
+        except (KeyError, IndexError, ValueError):
+            raise ValueError(f"its header has the line {line!r}") from None
+    if order == "?":
+        raise ValueError("its header has no format")
+    return order, elements, texture, body
+
+
+def _read_ascii(elements: list[_Element], text: str) -> None:
+    words = text.split()
+    at = 0
+    for element in elements:
+        lists = [name for name, length, _ in element.properties if length]
+        if not lists:
+            width = len(element.properties)
+            block = words[at : at + element.count * width]
+            if len(block) < element.count * width:
+                raise _short(element)
+            table = numbers(block).reshape(element.count, width)
+            for column, (name, _, _) in enumerate(element.properties):
+                element.scalars[name] = table[:, column]
+            at += len(block)
+            continue
+        values: dict[str, list[str]] = {n: [] for n, _, _ in element.properties}
+        sizes: dict[str, list[int]] = {name: [] for name in lists}
+        for _ in range(element.count):
+            for name, length, _ in element.properties:
+                count = 1
+                if length:
+                    if at >= len(words):
+                        raise _short(element)
+                    count = int(words[at])
+                    sizes[name].append(count)
+                    at += 1
+                values[name] += words[at : at + count]
+                at += count
+        if at > len(words):
+            raise _short(element)
+        for name, length, _ in element.properties:
+            if length:
+                element.lists[name] = (
+                    np.array(sizes[name], dtype=np.int64),
+                    numbers(values[name]),
+                )
+            else:
+                element.scalars[name] = numbers(values[name])
+
+
+def _read_binary(elements: list[_Element], body: bytes, order: str) -> None:
+    at = 0
+    for element in elements:
+        if not element.count:
+            continue
+        widths = _first_widths(element, body, at, order)
+        kinds: list[tuple[Any, ...]] = []
+        for (name, length, kind), width in zip(
+            element.properties, widths, strict=True
+        ):
+            if length:
+                kinds.append((f"#{name}", order + length))
+                kinds.append((name, order + kind, (width,)))
+            else:
+                kinds.append((name, order + kind))
+        record = np.dtype(kinds)
+        uniform = len(body) - at >= element.count * record.itemsize
+        if uniform:
+            table = np.frombuffer(body, record, element.count, at)
+            uniform = all(
+                bool((table[f"#{name}"] == width).all())
+                for (name, length, _), width in zip(
+                    element.properties, widths, strict=True
+                )
+                if length
+            )
+        if not uniform:
+            at = _read_records(element, body, at, order)
+            continue
+        at += element.count * record.itemsize
+        for (name, length, _), width in zip(
+            element.properties, widths, strict=True
+        ):
+            if length:
+                element.lists[name] = (
+                    np.full(element.count, width, np.int64),
+                    np.ravel(table[name]),
+                )
+            else:
+                element.scalars[name] = table[name]
+
+
+def _first_widths(
+    element: _Element, body: bytes, at: int, order: str
+) -> list[int]:
+    return [len(values) for values, _ in _record(element, body, at, order)]
+
+
+def _record(
+    element: _Element, body: bytes, at: int, order: str
+) -> Iterator[tuple[np.ndarray, int]]:
+    """Yields the values of each property of a record and where they end."""
+    for _, length, kind in element.properties:
+        try:
+            count = 1
+            if length:
+                count = int(np.frombuffer(body, order + length, 1, at)[0])
+                at += np.dtype(length).itemsize
+            values = np.frombuffer(body, order + kind, max(count, 0), at)
+        except ValueError:
+            raise _short(element) from None
+        at += values.nbytes
+        yield values, at
+
+
+def _read_records(element: _Element, body: bytes, at: int, order: str) -> int:
+    columns: list[list[np.ndarray]] = [[] for _ in element.properties]
+    for _ in range(element.count):
+        for column, (values, end) in zip(
+            columns, _record(element, body, at, order), strict=True
+        ):
+            column.append(values)
+            at = end
+    for (name, length, _), column in zip(
+        element.properties, columns, strict=True
+    ):
+        flat = np.concatenate(column)
+        if length:
+            sizes = np.array([len(values) for values in column], np.int64)
+            element.lists[name] = (sizes, flat)
+        else:
+            element.scalars[name] = flat
+    return at
+
+
+def _short(element: _Element) -> ValueError:
+    return ValueError(
+        f"it ends before the last of its {element.count} {element.name} entries"
+    )
+
+
+def _corners(faces: _Element) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the corners of each face and the vertices they name."""
+    names = [name for name in faces.lists if name.startswith("vert")]
+    if not names and len(faces.lists) == 1:
+        names = list(faces.lists)
+    if not names:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    sizes, corners = faces.lists[names[0]]
+    return sizes, corners.astype(np.int64)
+
+
+def _strip_triangles(strips: _Element) -> np.ndarray:
+    """Returns the (m, 3) triangles of strips that −1 separates."""
+    made = [np.zeros((0, 3), np.int64)]
+    for _, flat in strips.lists.values():
+        indices = flat.astype(np.int64)
+        for strip in np.split(indices, np.flatnonzero(indices < 0)):
+            strip = strip[strip >= 0]
+            if len(strip) < 3:
+                continue
+            windows = np.lib.stride_tricks.sliding_window_view(strip, 3).copy()
+            windows[1::2] = windows[1::2, ::-1]
+            made.append(windows)
+    return np.concatenate(made)
+
+
+def _visual(
+    path: Path,
+    texture: str,
+    points: _Element,
+    faces: _Element,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    corners: np.ndarray,
+) -> tuple[trimesh.Trimesh | None, tuple[str, ...]]:
+    """Returns the surface with its image, and what is missing of it."""
+    if not texture:
+        return None, ()
+    image = opened_image(find_file(path.parent, texture))
+    if image is None:
+        return None, (f"its texture {texture} does not exist",)
+    uv = None
+    for u, v in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
+        if {u, v} <= set(points.scalars):
+            table = np.stack([points.scalars[u], points.scalars[v]], axis=1)
+            uv = table[triangles.ravel()]
+    _, flat = faces.lists.get("texcoord", (np.zeros(0), np.zeros(0)))
+    if uv is None and len(flat) and corners.max(initial=-1) < len(flat) // 2:
+        uv = flat.reshape(-1, 2)[corners.ravel()]
+    if uv is None:
+        return None, (f"its texture {texture} has no coordinates",)
+    shown = trimesh.Trimesh(
+        vertices[triangles.ravel()],
+        np.arange(3 * len(triangles)).reshape(-1, 3),
+        visual=TextureVisuals(uv=uv, material=SimpleMaterial(image=image)),
+        process=False,
+    )
+    return shown, ()
+
+
+def _color(
+    points: _Element,
+    faces: _Element,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    owners: np.ndarray,
+) -> np.ndarray:
+    for prefix in ("", "diffuse_"):
+        names = [prefix + name for name in ("red", "green", "blue")]
+        for element, per_vertex in ((points, True), (faces, False)):
+            if not set(names) <= set(element.scalars):
+                continue
+            colors = _in_unit(element, names)
+            if per_vertex:
+                colors = colors[triangles].mean(axis=1)
+            elif owners.max(initial=-1) >= len(colors):
+                continue
+            else:
+                colors = colors[owners]
+            return mean_over_surface(vertices, triangles, colors)
+    return np.zeros(0)
+
+
+def _in_unit(element: _Element, names: list[str]) -> np.ndarray:
+    """Returns (n, 3) colours in [0, 1]; integers count in 255ths."""
+    kinds = {name: kind for name, _, kind in element.properties}
+    colors = np.stack([element.scalars[k] for k in names], axis=1).astype(float)
+    whole = kinds[names[0]].startswith(("u", "i"))
+    return np.clip(colors / 255, 0, 1) if whole else unit_colors(colors)
