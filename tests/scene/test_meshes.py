@@ -147,10 +147,41 @@ def test_hollow_objects_stay_hollow(tmp_path):
 
 
 def test_losses_beyond_the_limits_are_rejected(folder, caplog):
-    tight = LossLimits(silhouette=0.12)
-    check_skipped(
-        folder, caplog, "duck", "silhouette by .* allow more", max_loss=tight
-    )
+    tight = LossLimits(silhouette=0.05)
+    with caplog.at_level(logging.WARNING, logger="xray_drake"):
+        made = import_meshes(folder, max_loss=tight)
+    assert [model.name for model in made.models] == ["toys/bench"]
+    for record, (path, reason) in zip(
+        caplog.records, made.rejected, strict=True
+    ):
+        assert str(path) in record.getMessage()
+        assert re.search("silhouette by .* allow more", reason)
+
+
+def comb(teeth):
+    parts = [box(0.2, 0.01, 0.01)]
+    for k in range(teeth):
+        at = (0.19 * (k / (teeth - 1) - 0.5), 0.03, 0)
+        parts.append(box(0.004, 0.06, 0.004, at=at))
+    return trimesh.util.concatenate(parts)
+
+
+def test_what_few_pieces_change_too_much_gets_more(tmp_path):
+    write(tmp_path / "in" / "comb.stl", comb(12))
+    made = import_meshes(tmp_path / "in")
+    assert len(made.models[0].pieces) == 13
+    assert made.losses["in/comb"].silhouette < 0.05
+    with pytest.raises(ValueError, match="allow more pieces"):
+        import_meshes(tmp_path / "in", max_pieces=8)
+
+
+def test_what_few_pieces_show_well_gets_no_more(tmp_path):
+    write(tmp_path / "in" / "comb.stl", comb(3))
+    assert len(load_meshes(tmp_path / "in")[0].pieces) == 4
+    loose = LossLimits(missing=1, added=1, silhouette=1)
+    write(tmp_path / "in" / "comb.stl", comb(12))
+    (model,) = load_meshes(tmp_path / "in", max_loss=loose)
+    assert len(model.pieces) == 8
 
 
 def test_masses_file_is_used(folder):
@@ -207,10 +238,10 @@ def test_an_open_surface_is_skipped(folder, caplog):
 
 
 def test_a_failing_library_costs_one_file(folder, caplog, monkeypatch):
-    def fail(mesh, *_):
+    def fail(*_):
         raise RuntimeError("no\nhull")
 
-    name = "xray_drake.scene.meshes.prepare.convex_components"
+    name = "xray_drake.scene.meshes.decompose.merged_pieces"
     monkeypatch.setattr(name, fail)
     lines = ["v 0 0 0", "v .1 0 0", "v 0 .1 0", "v 0 0 .1"]
     faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
@@ -219,28 +250,17 @@ def test_a_failing_library_costs_one_file(folder, caplog, monkeypatch):
     text = "\n".join(["o a", *lines, *faces, "o b", *moved, *more])
     (folder / "groups.obj").write_text(text)
     with caplog.at_level(logging.WARNING, logger="xray_drake"):
-        (model,) = load_meshes(folder)
-    assert model.name == "toys/groups"
+        models = load_meshes(folder)
+    assert [model.name for model in models] == ["toys/ball", "toys/duck"]
     reasons = [record.getMessage() for record in caplog.records]
-    assert len(reasons) == 3
+    assert len(reasons) == 2
     assert all("RuntimeError: no hull" in reason for reason in reasons)
-
-
-def test_what_stays_open_is_remeshed(folder, monkeypatch):
-    name = "xray_drake.scene.meshes.prepare.closed_surface"
-    monkeypatch.setattr(name, lambda _: None)
-    (folder / "ball" / "textured.obj").unlink()
-    (folder / "duck" / "textured.obj").unlink()
-    (model,) = load_meshes(folder)
-    assert model.visual.is_volume
-    np.testing.assert_allclose(model.extents, [0.1, 0.04, 0.06], atol=4e-3)
-    assert 5e-5 < model.visual.volume < 1.2e-4
 
 
 @pytest.mark.parametrize(
     ("size", "mass", "reason"),
     [
-        (0.3, 0.1, "longest side is 0.3 m.* give a scale"),
+        (0.6, 0.1, "longest side is 0.6 m.* give a scale"),
         (0.004, 0.1, "longest side is 0.004 m"),
         (0.05, 1e-6, "weighs only 1 mg"),
     ],
@@ -253,12 +273,12 @@ def test_what_is_too_large_small_or_light_is_skipped(
     check_skipped(folder, caplog, "odd.obj", reason)
 
 
-def check_skipped(folder, caplog, file, reason, **options):
+def check_skipped(folder, caplog, file, reason):
     everything = len(load_meshes(folder))
     with caplog.at_level(logging.WARNING, logger="xray_drake"):
         caplog.clear()
-        made = import_meshes(folder, **options)
-    assert len(made.models) == everything - bool(options)
+        made = import_meshes(folder)
+    assert len(made.models) == everything
     (record,) = caplog.records
     assert "\n" not in record.getMessage()
     assert file in record.getMessage()

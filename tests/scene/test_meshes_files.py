@@ -1,6 +1,7 @@
 import pytest
 
-from xray_drake.scene.meshes.files import find_meshes, side_files
+from xray_drake.scene.meshes.files import find_meshes
+from xray_drake.scene.meshes.formats import side_files
 
 
 def touch(folder, *names):
@@ -69,5 +70,7 @@ def test_materials_and_textures_belong_to_an_obj_file(tmp_path):
     (tmp_path / "wood.png").touch()
     assert [side.name for side in side_files(path)] == ["a b.mtl", "wood.png"]
     scan = tmp_path / "scan.ply"
-    scan.write_text("ply\ncomment TextureFile wood.png\n")
+    scan.write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile wood.png\nend_header\n"
+    )
     assert [side.name for side in side_files(scan)] == ["wood.png"]

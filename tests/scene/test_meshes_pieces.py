@@ -14,7 +14,6 @@ from xray_drake.scene.meshes.pieces import (
     simplified_hull,
 )
 from xray_drake.scene.meshes.prepare import deviation
-from xray_drake.scene.meshes.reading import closed_surface
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -113,35 +112,6 @@ def test_shapes_are_compared_where_they_are():
     moved = measure_losses(box, [np.asarray(box.vertices) + [0.02, 0, 0]])
     assert moved.volume == pytest.approx(0, abs=1e-5)
     assert moved.missing == pytest.approx(0.5, abs=1e-4)
-
-
-def test_surfaces_are_closed_where_that_is_clear():
-    ball = trimesh.creation.icosphere(2, 0.03)
-    volume = ball.volume
-    holed = ball.copy()
-    holed.update_faces(np.arange(len(ball.faces)) % 60 != 0)
-    inverted = ball.copy()
-    inverted.invert()
-    soup = trimesh.Trimesh(
-        ball.triangles.reshape(-1, 3),
-        np.arange(3 * len(ball.faces)).reshape(-1, 3),
-        process=False,
-    )
-    double = trimesh.Trimesh(
-        ball.vertices, np.concatenate([ball.faces, ball.faces])
-    )
-    for mesh in (holed, inverted, soup, double):
-        closed = closed_surface(mesh)
-        assert closed is not None
-        assert closed.is_volume
-        assert closed.volume == pytest.approx(volume, rel=0.02)
-
-
-def test_a_large_hole_is_an_error():
-    bowl = trimesh.creation.icosphere(3, 0.03)
-    bowl.update_faces(bowl.triangles_center[:, 2] < 0)
-    with pytest.raises(ValueError, match="filling its holes would make 3"):
-        closed_surface(bowl)
 
 
 def test_deviation_of_a_ball_from_a_coarser_one():

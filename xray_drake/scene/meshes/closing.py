@@ -13,8 +13,9 @@ from xray_drake.scene.meshes.formats.file_mesh import triangulate
 from xray_drake.scene.meshes.pieces import hull_vertices
 from xray_drake.scene.meshes.solids import joined, solid, surface
 
-MERGED = 1e-5
-"""Of the longest side: vertices that are nearer are one."""
+MERGED = (1e-5, 1e-4, 1e-3)
+"""Of the longest side: vertices that are nearer are one; the wider distances
+only where they close at least half of what is open."""
 
 MOST_FILLED = 0.2
 """Holes are filled while that makes at most this share of the surface."""
@@ -22,9 +23,6 @@ MOST_FILLED = 0.2
 NAMED = 0.01
 """A repair is named where it changes the area, the volume or the longest side
 by more than this share."""
-
-MOST_CHANGED = 0.05
-"""Of the longest side: a solid that is so much shorter is another one."""
 
 _NOTHING = 1e-6
 """Of the volume: parts that are smaller do not count."""
@@ -93,8 +91,7 @@ def closed_solid(
     used = vertices[np.unique(triangles)]
     middle = (used.min(axis=0) + used.max(axis=0)) / 2
     longest = float(np.ptp(used, axis=0).max())
-    points, faces = _merged(vertices - middle, triangles, groups, longest)
-    work = _Work(points, faces, _area(points, faces))
+    work = _merged(vertices - middle, triangles, groups, longest)
     if work.area == 0:
         raise ValueError("it encloses nothing")
     _drop_doubles(work)
@@ -110,12 +107,10 @@ def closed_solid(
         )
     low, high = np.split(np.array(whole.bounding_box()), 2)
     shorter = float((np.ptp(used, axis=0) - (high - low)).max()) / longest
-    if shorter > MOST_CHANGED:
-        raise ValueError(
-            f"it is not closed: what encloses a volume is {shorter:.0%} shorter"
-        )
     if shorter > NAMED:
-        work.repairs.append(f"what encloses nothing left out ({shorter:.0%})")
+        work.repairs.append(
+            f"{shorter:.0%} shorter, since a part encloses nothing"
+        )
     mesh = surface(whole)
     mesh.apply_translation(middle)
     convex = tuple(hull + middle for hull in _convex(bodies))
@@ -127,19 +122,28 @@ def _merged(
     triangles: np.ndarray,
     groups: np.ndarray,
     longest: float,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> _Work:
     """Makes one of vertices that are near each other.
 
-    Returns:
-        The vertices that are left, (n, 3), and the triangles, (m, 3), that
-        have three of them.
+    Groups stay apart if all of them are closed by themselves.
     """
-    near = MERGED * longest
+    near = MERGED[0] * longest
     if len(np.unique(groups)) > 1:
-        apart = _merge(vertices, triangles, groups, near)
-        if _open_sides(apart[1]) == 0:
-            return apart
-    return _merge(vertices, triangles, np.zeros_like(groups), near)
+        points, faces = _merge(vertices, triangles, groups, near)
+        if _open_sides(faces) == 0:
+            return _Work(points, faces, _area(points, faces))
+    one = np.zeros_like(groups)
+    points, faces = _merge(vertices, triangles, one, near)
+    work, left = _Work(points, faces, _area(points, faces)), _open_sides(faces)
+    for share in MERGED[1:]:
+        if left == 0:
+            break
+        points, faces = _merge(vertices, triangles, one, share * longest)
+        area, now_left = _area(points, faces), _open_sides(faces)
+        if 2 * now_left <= left and abs(area - work.area) < NAMED * work.area:
+            text = f"vertices within {share * longest * 1e3:.2g} mm merged"
+            work, left = _Work(points, faces, area, [text]), now_left
+    return work
 
 
 def _merge(
@@ -148,6 +152,12 @@ def _merge(
     groups: np.ndarray,
     near: float,
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Merges vertices of one group that are near each other.
+
+    Returns:
+        The vertices that are left, (n, 3), and the triangles, (m, 3), that
+        have three of them.
+    """
     corners = np.column_stack(
         [vertices[triangles.ravel()], np.repeat(groups, 3)]
     )

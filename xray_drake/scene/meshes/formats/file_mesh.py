@@ -67,7 +67,8 @@ def triangulate(
         polygons = np.flatnonzero(counts == size)
         indices = starts[polygons][:, None] + np.arange(size)
         shapes = points[indices]
-        normals, concave = _orientation(shapes)
+        with np.errstate(invalid="ignore", over="ignore"):
+            normals, concave = _orientation(shapes)
         k = np.arange(1, size - 1)
         fan = np.stack([np.zeros_like(k), k, k + 1], axis=1)
         corners.append(indices[~concave][:, fan].reshape(-1, 3))
@@ -87,7 +88,8 @@ def mean_over_surface(
 ) -> np.ndarray:
     """Returns the (3,) mean of (m, 3) colours of triangles by area."""
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if not np.isfinite(areas).all() or areas.sum() == 0:
         return np.zeros(0)
     return np.average(colors, axis=0, weights=areas)

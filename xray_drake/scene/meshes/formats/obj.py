@@ -190,10 +190,10 @@ def _visual(
 ) -> trimesh.Trimesh | None:
     """Returns the surface with one image, into which all materials go."""
     coordinates = np.array(texture, dtype=float).reshape(-1, 2)
-    placed = (uv >= 0).all(axis=1) & (uv < len(coordinates)).all(axis=1)
+    placed = np.all((uv >= 0) & (uv < len(coordinates)), axis=1)
     images = [opened_image(material.image) for material in materials]
-    shown = np.array([image is not None for image in images], dtype=bool)
-    if not len(triangles) or not (shown[used] & placed).any():
+    shown = np.isin(used, [k for k, image in enumerate(images) if image])
+    if not np.any(shown & placed):
         return None
     parts = []
     for index in np.unique(used):
