@@ -6,7 +6,6 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
-    LeafSystem,
     State,
 )
 
@@ -19,10 +18,11 @@ from xray_drake.gripper.execution import (
 )
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.yumi import YumiGripper
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import GripperStatus, SearchAction
 
 
-class GripperController(LeafSystem):
+class GripperController(CollectableLeafSystem):
     """Lifts objects with fingers or suction cup, and feels whether it does.
 
     .. pydrake_system::

@@ -15,13 +15,13 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
-    LeafSystem,
     State,
 )
 
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.gripper.motion import Grip, Segment, straight
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -144,7 +144,7 @@ class DrawnGripper:
     opening: float
 
 
-class QuasiStaticGripper(LeafSystem):
+class QuasiStaticGripper(CollectableLeafSystem):
     """Lifts objects by an ideal grip, where the grasp would hold.
 
     .. pydrake_system::

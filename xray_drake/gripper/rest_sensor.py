@@ -8,15 +8,15 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
-    LeafSystem,
     State,
 )
 
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.rest import RestTest, corners_in_cell
 
 
-class RestSensor(LeafSystem):
+class RestSensor(CollectableLeafSystem):
     """Sees whether anything in the cell still moves.
 
     .. pydrake_system::

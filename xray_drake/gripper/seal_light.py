@@ -4,9 +4,10 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, EventStatus
 
 from xray_drake.gripper.suction import CupState
+from xray_drake.lifetimes import CollectableLeafSystem
 
 GRIPPER_PATH = "visualizer/yumi_gripper/gripper_base"
 """Where Drake's visualizer draws the gripper's base."""
@@ -16,7 +17,7 @@ _RADIUS, _HEIGHT = 0.0155, 0.0035
 """m: a sleeve around the cup's lip."""
 
 
-class SealLight(LeafSystem):
+class SealLight(CollectableLeafSystem):
     """Colours the suction cup's lip: yellow draws air, green has sealed.
 
     .. pydrake_system::

@@ -12,9 +12,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import (
     Context,
     EventStatus,
-    LeafSystem,
     State,
-    ValueProducer,
 )
 
 from xray_drake.grasping.sampling import cast_rays, ring_offsets, seal_cups
@@ -26,13 +24,14 @@ from xray_drake.gripper.suction import (
     hold,
     open_cup,
 )
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.scene.object_model import ObjectModel
 
 _BEHIND = 0.02
 """Rays at the surface start this far behind the lip, m."""
 
 
-class SuctionCup(LeafSystem):
+class SuctionCup(CollectableLeafSystem):
     """Holds what its lip seals on, until that is too much.
 
     .. pydrake_system::
@@ -109,9 +108,8 @@ class SuctionCup(LeafSystem):
         self.DeclareStateOutputPort("state", self._state)
         self._next = self.DeclareCacheEntry(
             description="the state of this step",
-            value_producer=ValueProducer(
-                allocate=lambda: Value(CupState()), calc=self._calc_next
-            ),
+            allocate=lambda: Value(CupState()),
+            calc=self._calc_next,
             prerequisites_of_calc={
                 self.abstract_state_ticket(self._state),
                 self.time_ticket(),

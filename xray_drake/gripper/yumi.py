@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex, RigidBody
 
 from xray_drake.choices import CARRIERS
 from xray_drake.gripper import arm_cell
@@ -30,12 +30,13 @@ class YumiGripper:
     velocities; the desired state, which must be connected, is the same.
 
     Attributes:
+        plant: in which they stand.
         carrier_instance: the joints of the wrist, see
             :data:`xray_drake.gripper.wrist.JOINTS`, or of the arm, see
             :data:`xray_drake.gripper.arm_cell.JOINTS`.
         finger_instance: the joints of the left and of the right finger, each
             from open (0) to closed (25 mm).
-        base: the gripper's body, whose frame B is the carrier's tool frame.
+        base_index: of ``base``.
         carrier: its kinematics, limits and paths.
         home: (n,) positions of the carrier's joints at home.
         X_BJ: 4×4 pose of the jaw frame in B, m.
@@ -46,9 +47,10 @@ class YumiGripper:
         finger_stiffness: of the position control of each finger, N/m.
     """
 
+    plant: MultibodyPlant
     carrier_instance: ModelInstanceIndex
     finger_instance: ModelInstanceIndex
-    base: RigidBody
+    base_index: BodyIndex
     carrier: Carrier
     home: np.ndarray
     X_BJ: np.ndarray
@@ -57,6 +59,11 @@ class YumiGripper:
     finger_speed: float
     finger_force: float
     finger_stiffness: float
+
+    @property
+    def base(self) -> RigidBody:
+        """The gripper's body, whose frame B is the carrier's tool frame."""
+        return self.plant.get_body(self.base_index)
 
     def bodies(self, plant: MultibodyPlant) -> list[RigidBody]:
         """Returns the bodies that can touch something: base and fingers."""
@@ -133,9 +140,10 @@ def add_gripper(
         plant.GetJointByName(name, arm).set_default_positions([position])
     finger = plant.GetJointActuatorByName(FINGER_JOINTS[0], hand)
     return YumiGripper(
+        plant=plant,
         carrier_instance=arm,
         finger_instance=hand,
-        base=base,
+        base_index=base.index(),
         carrier=kinematics,
         home=q_home,
         X_BJ=X_BJ,

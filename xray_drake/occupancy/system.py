@@ -5,14 +5,11 @@ from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import (
-    Context,
-    LeafSystem,
-    ValueProducer,
-)
+from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import Message, OccupancyDistribution, TargetMask
 
 
@@ -65,7 +62,7 @@ class _Answered(Message):
         )
 
 
-class OccupancyInference(LeafSystem):
+class OccupancyInference(CollectableLeafSystem):
     """Infers where a hidden target can be, given what the camera sees.
 
     .. pydrake_system::
@@ -115,10 +112,8 @@ class OccupancyInference(LeafSystem):
         )
         self._answered = self.DeclareCacheEntry(
             description="last answer",
-            value_producer=ValueProducer(
-                allocate=lambda: AbstractValue.Make(_Answered()),
-                calc=self._calc_answered,
-            ),
+            allocate=lambda: AbstractValue.Make(_Answered()),
+            calc=self._calc_answered,
             prerequisites_of_calc={
                 self._depth_image.ticket(),
                 self._target_mask.ticket(),

@@ -4,10 +4,11 @@ import zlib
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F, ImageRgba8U
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import InstanceMasks, TargetMask
 from xray_drake.perception.depth_noise import DepthNoise
 from xray_drake.perception.depth_segmenter import (
@@ -22,7 +23,7 @@ def _some_camera(width: int, height: int) -> Value:
     return Value(PinholeCamera(width, height, np.eye(3), np.eye(4)))
 
 
-class HsvTargetDetector(LeafSystem):
+class HsvTargetDetector(CollectableLeafSystem):
     """Finds the target by its colour.
 
     .. pydrake_system::
@@ -70,7 +71,7 @@ class HsvTargetDetector(LeafSystem):
         output.set_value(detect_target(image.data[:, :, :3], self._config))
 
 
-class DepthInstanceSegmenter(LeafSystem):
+class DepthInstanceSegmenter(CollectableLeafSystem):
     """Finds all objects by the shape of the surface.
 
     .. pydrake_system::
@@ -141,7 +142,7 @@ class DepthInstanceSegmenter(LeafSystem):
         )
 
 
-class NoisyDepthSensor(LeafSystem):
+class NoisyDepthSensor(CollectableLeafSystem):
     """Makes of a rendered depth image what a real sensor would see.
 
     .. pydrake_system::

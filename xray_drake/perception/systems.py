@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageLabel16I
 
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import InstanceMasks, TargetMask
 from xray_drake.perception.ground_truth import (
     instances_from_labels,
@@ -18,7 +19,7 @@ def _labels(image: ImageLabel16I) -> np.ndarray:
     return image.data[:, :, 0]
 
 
-class GroundTruthTargetDetector(LeafSystem):
+class GroundTruthTargetDetector(CollectableLeafSystem):
     """Finds the target in the label image.
 
     .. pydrake_system::
@@ -58,7 +59,7 @@ class GroundTruthTargetDetector(LeafSystem):
         output.set_value(target_mask_from_labels(labels, self._label))
 
 
-class GroundTruthInstanceSegmenter(LeafSystem):
+class GroundTruthInstanceSegmenter(CollectableLeafSystem):
     """Finds all objects in the label image.
 
     .. pydrake_system::

@@ -7,13 +7,12 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
     Context,
     EventStatus,
-    LeafSystem,
     State,
-    ValueProducer,
 )
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
     GripperMode,
     GripperStatus,
@@ -35,7 +34,7 @@ class _Remembered(Message):
     number: int = -1
 
 
-class SearchMemory(LeafSystem):
+class SearchMemory(CollectableLeafSystem):
     """Turns what is seen into what is seen and remembered.
 
     .. pydrake_system::
@@ -98,9 +97,8 @@ class SearchMemory(LeafSystem):
         self._state = self.DeclareAbstractState(Value(_Remembered()))
         self._belief = self.DeclareCacheEntry(
             description="belief after this look",
-            value_producer=ValueProducer(
-                allocate=lambda: Value(Belief()), calc=self._calc_belief
-            ),
+            allocate=lambda: Value(Belief()),
+            calc=self._calc_belief,
             prerequisites_of_calc={
                 self.abstract_state_ticket(self._state),
                 *(

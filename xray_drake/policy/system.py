@@ -11,13 +11,13 @@ from pydrake.systems.framework import (
     Context,
     EventStatus,
     InputPort,
-    LeafSystem,
     State,
 )
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.planner import GraspPlanner
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
     Grasp,
     GripperMode,
@@ -97,7 +97,7 @@ class DepthGrasps:
     height: int = 384
 
 
-class SearchPolicy(LeafSystem):
+class SearchPolicy(CollectableLeafSystem):
     """Chooses the next object and a grasp on it (paper section V).
 
     .. pydrake_system::

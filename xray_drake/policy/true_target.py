@@ -3,15 +3,16 @@
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import TargetMask
 from xray_drake.scene.object_model import ObjectModel
 
 
-class TrueTargetMask(LeafSystem):
+class TrueTargetMask(CollectableLeafSystem):
     """Draws the target's amodal mask at its true pose: ground truth.
 
     .. pydrake_system::

@@ -29,6 +29,8 @@ from pydrake.multibody.plant import (
     MultibodyPlantConfig,
 )
 from pydrake.multibody.tree import (
+    BodyIndex,
+    JointIndex,
     QuaternionFloatingJoint,
     RigidBody,
     SpatialInertia,
@@ -65,11 +67,30 @@ class PlantObject:
 
     ``RigidBody.Lock`` and ``GetFloatingBaseBodies`` do not know bodies on an
     explicit floating joint, so body and joint are kept together here.
+
+    Attributes:
+        model: the object.
+        plant: in which it stands.
+        body_index: of its body.
+        joint_index: of the joint between the world and it.
     """
 
+    # Python's bodies and joints keep their plant in a way that its collector
+    # cannot see: a diagram whose systems had them would never be freed.
     model: ObjectModel
-    body: RigidBody
-    joint: QuaternionFloatingJoint
+    plant: MultibodyPlant
+    body_index: BodyIndex
+    joint_index: JointIndex
+
+    @property
+    def body(self) -> RigidBody:
+        """The object's body."""
+        return self.plant.get_body(self.body_index)
+
+    @property
+    def joint(self) -> QuaternionFloatingJoint:
+        """The joint between the world and the body."""
+        return self.plant.get_joint(self.joint_index)
 
     @property
     def name(self) -> str:
@@ -204,7 +225,12 @@ def add_object(
         _register_collision(plant, body, model, contact)
     if visible:
         _register_visual(plant, body, model, textured)
-    return PlantObject(model=model, body=body, joint=joint)
+    return PlantObject(
+        model=model,
+        plant=plant,
+        body_index=body.index(),
+        joint_index=joint.index(),
+    )
 
 
 def add_objects(

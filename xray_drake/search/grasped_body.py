@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.gripper_geometry import GripperParameters
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import Grasp, GraspKind, SearchAction
 
 _SLACK = 0.003
@@ -71,7 +72,7 @@ def body_under_grasp(
     return best if best and counts[best] else ""
 
 
-class GraspedBody(LeafSystem):
+class GraspedBody(CollectableLeafSystem):
     """Tells a gripper that lifts bodies which body a grasp is on.
 
     .. pydrake_system::

@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context, EventStatus
 from xray_drake.choices import WITHOUT_NETWORK
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.gripper.quasi_static import LIFT_CLEARANCE
+from xray_drake.lifetimes import my_context
 from xray_drake.messages import (
     GripperMode,
     GripperStatus,
@@ -123,7 +124,7 @@ class SearchMonitor:
         """Looks at the search after a step."""
         if self.record.end:
             return self._termination()
-        context = self._diagram.GetMyContextFromRoot(root_context)
+        context = my_context(self._diagram, root_context)
         action: SearchAction = self._action.Eval(context)
         if action.number > self._decided:
             self._begin(context, action)
