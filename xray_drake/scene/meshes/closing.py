@@ -158,20 +158,34 @@ def _merge(
         The vertices that are left, (n, 3), and the triangles, (m, 3), that
         have three of them.
     """
-    corners = np.column_stack(
-        [vertices[triangles.ravel()], np.repeat(groups, 3)]
-    )
-    places, inverse = np.unique(corners, axis=0, return_inverse=True)
-    pairs = cKDTree(places[:, :3]).query_pairs(near, output_type="ndarray")
-    one, other = pairs[places[pairs[:, 0], 3] == places[pairs[:, 1], 3]].T
+    corners = np.column_stack([np.repeat(groups, 3), triangles.ravel()])
+    begins, inverse = _distinct(corners)
+    group, index = corners[begins].T
+    places = vertices[index]
+    pairs = cKDTree(places).query_pairs(near, output_type="ndarray")
+    one, other = pairs[group[pairs[:, 0]] == group[pairs[:, 1]]].T
     graph = coo_array(
         (np.ones(len(one)), (one, other)), shape=(len(places), len(places))
     )
     _, labels = connected_components(graph, directed=False)
     _, first = np.unique(labels, return_index=True)
-    faces = labels[inverse.ravel()].reshape(-1, 3).astype(np.int64)
+    faces = labels[inverse].reshape(-1, 3).astype(np.int64)
     a, b, c = faces.T
-    return places[first, :3], faces[(a != b) & (b != c) & (c != a)]
+    return places[first], faces[(a != b) & (b != c) & (c != a)]
+
+
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Finds equal rows of (n, k) integers that are not negative.
+
+    Returns:
+        Where each of the distinct rows is first; (n,) which of them each is.
+    """
+    keys = rows[:, 0]
+    for column in rows.T[1:]:
+        _, keys = np.unique(keys, return_inverse=True)
+        keys = keys * (column.max(initial=0) + 1) + column
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return first, inverse
 
 
 def _area(vertices: np.ndarray, triangles: np.ndarray) -> float:
@@ -193,10 +207,9 @@ def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         the edge's lower to its higher vertex, else −1.
     """
     sides = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, inverse = np.unique(
-        np.sort(sides, axis=1), axis=0, return_inverse=True
-    )
-    return edges, inverse.ravel(), np.where(sides[:, 0] < sides[:, 1], 1, -1)
+    ordered = np.sort(sides, axis=1)
+    first, edge_of = _distinct(ordered)
+    return ordered[first], edge_of, np.where(sides[:, 0] < sides[:, 1], 1, -1)
 
 
 def _open_sides(triangles: np.ndarray) -> int:
@@ -217,13 +230,7 @@ def _net_faces(
     first = np.argmin(triangles, axis=1)[:, None]
     begun = np.take_along_axis(triangles, (first + [0, 1, 2]) % 3, axis=1)
     way = np.where(begun[:, 1] < begun[:, 2], 1, -1)
-    _, once, face_of = np.unique(
-        np.sort(triangles, axis=1),
-        axis=0,
-        return_index=True,
-        return_inverse=True,
-    )
-    face_of = face_of.ravel()
+    once, face_of = _distinct(np.sort(triangles, axis=1))
     net = np.bincount(face_of, way, len(once))[face_of]
     left = np.flatnonzero(net * way > 0)
     _, index = np.unique(face_of[left], return_index=True)

@@ -22,7 +22,7 @@ def decoded(content: bytes) -> str:
         except UnicodeDecodeError:
             text = content.decode("latin-1")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    return _NO_NUMBER.sub("nan", text)
+    return _NO_NUMBER.sub("nan", text) if ".#" in text else text
 
 
 def logical_lines(text: str) -> Iterator[tuple[int, str]]:
