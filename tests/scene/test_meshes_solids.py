@@ -159,6 +159,47 @@ def test_holes_are_filled_and_that_is_said():
     assert "a hole filled (7% of its surface)" in made.repairs
 
 
+def test_a_shell_that_looks_outward_is_filled_and_that_is_said():
+    made = closed(box(*OUTER), box(*INNER))
+    assert made.mesh.volume == pytest.approx(1.92e-4)
+    assert "within other bodies taken as solid (20%)" in made.repairs[0]
+
+
+def ribbon(path, width):
+    """A bar of square section along a path in a plane."""
+    path = np.array(path, dtype=float)
+    along = np.diff(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    mitres = [
+        (a + b) / (1 + a @ b) for a, b in zip(left, left[1:], strict=False)
+    ]
+    vertices = [
+        [*(point + side * width / 2 * mitre), z * width / 2]
+        for point, mitre in zip(path, [left[0], *mitres, left[-1]], strict=True)
+        for side, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
+    end = 4 * (len(path) - 1)
+    faces = [
+        [0, 2, 1],
+        [0, 3, 2],
+        [end, end + 1, end + 2],
+        [end, end + 2, end + 3],
+    ]
+    for start in range(0, end, 4):
+        for k in range(4):
+            a, b = start + k, start + (k + 1) % 4
+            faces += [[a, b, b + 4], [a, b + 4, a + 4]]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def test_a_surface_that_passes_through_itself_is_named():
+    path = np.array([(0, 0), (10, 0), (10, 6), (5, 6), (5, -4)]) / 100
+    made = closed(ribbon(path, 0.02))
+    assert "passes through itself" in made.repairs[0]
+    assert closed(ribbon(path[:4], 0.02)).repairs == ()
+
+
 def test_a_hole_that_is_concave_is_filled_as_it_is():
     outline = [(0, 0), (8, 0), (8, 2), (2, 2), (2, 6), (0, 6)]
     prism = trimesh.Trimesh(

@@ -31,6 +31,13 @@ MOST_CONVEX = 256
 CONVEX = 0.97
 """So many bodies, each filling so much of its hull, are convex pieces."""
 
+_SWALLOWED = 0.99
+"""Of a body's volume: so much of it lies in another one's matter."""
+
+_SLICES = 64
+MOST_CROSSED = 0.05
+"""Of the volume, by which slices may differ: so coarse they are."""
+
 _INSIDE = 0.5
 """Of a cavity's volume: so much lies in the body that it hollows out."""
 
@@ -100,6 +107,14 @@ def closed_solid(
     _fill_holes(work)
     bodies, volume = _bodies(work)
     whole = joined(bodies) if len(bodies) > 1 else bodies[0]
+    crossed = 1 - _sliced_volume(whole) / whole.volume()
+    if crossed > MOST_FILLED:
+        raise ValueError(f"its surface passes through itself ({crossed:.0%})")
+    if crossed > MOST_CROSSED:
+        work.repairs.append(
+            f"{crossed:.0%} counts twice, since its surface passes through "
+            "itself"
+        )
     if abs(volume - said) > NAMED * max(volume, said):
         work.repairs.append(
             f"it encloses {volume * 1e6:.4g} cm³, its faces alone "
@@ -389,7 +404,50 @@ def _bodies(work: _Work) -> tuple[list[manifold3d.Manifold], float]:
                 work.repairs.append(
                     f"a part that was inside out turned ({share:.0%})"
                 )
+    swallowed = _swallowed(hollowed) / total
+    if swallowed > NAMED:
+        work.repairs.append(
+            f"bodies within other bodies taken as solid ({swallowed:.0%})"
+        )
     return hollowed, sum(part.volume() for part in hollowed)
+
+
+def _swallowed(bodies: list[manifold3d.Manifold]) -> float:
+    """Returns the volume of bodies that lie within the matter of another."""
+    volume = 0.0
+    boxes = np.array([body.bounding_box() for body in bodies])
+    for index, body in enumerate(bodies):
+        around = (boxes[:, :3] <= boxes[index, :3]).all(axis=1)
+        around &= (boxes[:, 3:] >= boxes[index, 3:]).all(axis=1)
+        around[index] = False
+        own = body.volume()
+        if any(
+            (body - bodies[other]).volume() < (1 - _SWALLOWED) * own
+            for other in np.flatnonzero(around)
+            if bodies[other].volume() > own
+        ):
+            volume += own
+    return volume
+
+
+def _sliced_volume(whole: manifold3d.Manifold) -> float:
+    """Measures a volume by slices, in which what is there twice counts once.
+
+    Slices miss what is thin along their normal, so the axis that finds most is
+    taken.
+    """
+    most = 0.0
+    for axis in range(3):
+        turn = np.roll(np.eye(3), axis, axis=0)
+        turned = whole.transform(np.column_stack([turn, np.zeros(3)]))
+        bounds = turned.bounding_box()
+        height = bounds[5] - bounds[2]
+        levels = bounds[2] + (np.arange(_SLICES) + 0.5) / _SLICES * height
+        areas = [turned.slice(float(level)).area() for level in levels]
+        most = max(most, float(np.mean(areas)) * height)
+        if most > (1 - MOST_CROSSED) * whole.volume():
+            break
+    return most
 
 
 def _convex(bodies: list[manifold3d.Manifold]) -> list[np.ndarray]:

@@ -35,6 +35,9 @@ COACD_FACES = 800
 COACD_THRESHOLD = 0.08
 """Fine enough that the walls of a cup come apart; then pieces are merged."""
 
+COACD_FINER = 0.04
+"""For chains and lids, of which few pieces lose too much; takes seconds."""
+
 CONVEX_ENOUGH = 0.97
 """A solid that fills this much of its hull is one piece."""
 
@@ -92,6 +95,8 @@ def convex_pieces(
         losses = measure_losses(mesh, pieces)
         if count == max_pieces or not limits.exceeded(losses):
             return pieces, losses
+        if count == FEW_PIECES and not convex:
+            fine = coacd_pieces(mesh, COACD_FINER)
         count = min(2 * count, max_pieces)
 
 
@@ -116,12 +121,13 @@ def simplified_pieces(
 
 
 def coacd_pieces(
-    mesh: trimesh.Trimesh,
+    mesh: trimesh.Trimesh, threshold: float = COACD_THRESHOLD
 ) -> list[np.ndarray]:
     """Splits a mesh into many fine convex pieces with CoACD.
 
     Args:
         mesh: closed, m.
+        threshold: CoACD's, of the concavity that pieces may keep.
 
     Returns:
         (n, 3) vertices of each piece, m.
@@ -130,7 +136,7 @@ def coacd_pieces(
     coarse = decimated(mesh, COACD_FACES)
     found = coacd.run_coacd(
         coacd.Mesh(coarse.vertices, coarse.faces),
-        threshold=COACD_THRESHOLD,
+        threshold=threshold,
         preprocess_mode="off",
         resolution=500,
         mcts_nodes=10,
