@@ -122,7 +122,7 @@ def test_what_is_told(tmp_path: Path) -> None:
     weights.write_bytes(b"1")
     script = tmp_path / "measure.py"
     script.write_text("1")
-    found = current(weights=[weights, tmp_path / "gone"], number_type="float32")
+    found = current(weights=[weights, tmp_path / "gone"], dtype="float32")
     assert found.versions.keys() == {
         *("xray_drake", "drake", "torch", "lightning", "numpy")
     }
@@ -142,12 +142,12 @@ def test_what_is_told(tmp_path: Path) -> None:
     assert with_script.code != found.code
 
 
-HERE = current(number_type="float32")
+HERE = current(dtype="float32")
 OTHERS = {
     "code": replace(HERE, code="0123", commit="ab" * 20, dirty=True),
     "drake": replace(HERE, versions={**HERE.versions, "drake": "1.40.0"}),
     "weights": replace(HERE, weights={"a": "1"}),
-    "bfloat16": replace(HERE, number_type="bfloat16"),
+    "bfloat16": replace(HERE, dtype="bfloat16"),
     "not known": Provenance(),
 }
 
@@ -180,7 +180,7 @@ def test_other_code_does_not_go_on(what: str, result: Path) -> None:
 
 
 def test_the_same_code_goes_on(result: Path) -> None:
-    without = replace(HERE, number_type="", date="2020-01-01", processor="x")
+    without = replace(HERE, dtype="", date="2020-01-01", processor="x")
     record_run(result, Run("benchmark", without, seeds=[1]))
     # A network may join where none was used, on another processor.
     now = replace(HERE, weights={"a": "1"})
@@ -224,7 +224,7 @@ def test_a_line_for_reports() -> None:
         date="2026-11-30",
     )
     other = replace(
-        one, weights={"n": "aa"}, number_type="float32", date="2026-12-01"
+        one, weights={"n": "aa"}, dtype="float32", date="2026-12-01"
     )
     line = describe([one, other, one], scenario="demo", seeds=[3, 1, 2, 9, 1])
     assert line == (

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -143,9 +144,7 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
     if last.strip():
         item = _json_object(last)
         if item is None:
-            _logger.warning(
-                "%s: line %d is cut short and left out", path, len(lines) + 1
-            )
+            _tell_cut(path, len(lines) + 1)
         else:
             found.append(item)
     return found
@@ -178,6 +177,12 @@ def append_json_lines(path: Path) -> Iterator[Callable[[dict], None]]:
             file.flush()
 
         yield add
+
+
+@cache
+def _tell_cut(path: Path, number: int) -> None:
+    """Warns once, however often the file is read."""
+    _logger.warning("%s: line %d is cut short and left out", path, number)
 
 
 def _json_object(text: bytes) -> dict[str, Any] | None:

@@ -58,7 +58,7 @@ class Provenance:
             where it is not known.
         versions: of the packages that decide results, by their names.
         weights: digest of each file of weights that was used, by its name.
-        number_type: in which networks compute, "float32" or as training calls
+        dtype: in which networks compute, "float32" or as training calls
             it; empty where none does.
         processor: model and architecture.
         date: of the run, ISO 8601.
@@ -69,7 +69,7 @@ class Provenance:
     code: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     weights: Mapping[str, str] = field(default_factory=dict)
-    number_type: str = ""
+    dtype: str = ""
     processor: str = ""
     date: str = ""
 
@@ -103,7 +103,7 @@ class Provenance:
         used = [sorted(p.weights.values()) for p in (self, now)]
         if all(used) and used[0] != used[1]:
             found.append(f"weights {_named(self)}, now {_named(now)}")
-        types = self.number_type, now.number_type
+        types = self.dtype, now.dtype
         if all(types) and types[0] != types[1]:
             found.append(f"{types[0]}, now {types[1]}")
         return found
@@ -147,14 +147,14 @@ class Run:
 def current(
     *,
     weights: Iterable[Path] = (),
-    number_type: str = "",
+    dtype: str = "",
     scripts: Iterable[Path] = (),
 ) -> Provenance:
     """Returns the provenance of what this process makes.
 
     Args:
         weights: files, or folders of them; what is not there is left out.
-        number_type: in which networks compute.
+        dtype: in which networks compute.
         scripts: files that decide results beside the package.
     """
     commit, dirty = _checkout()
@@ -164,7 +164,7 @@ def current(
         code=_code(tuple(scripts)),
         versions=versions(),
         weights=_weights(weights),
-        number_type=number_type,
+        dtype=dtype,
         processor=_processor(),
         date=date.today().isoformat(),
     )
@@ -290,7 +290,7 @@ def describe(
         for p in every
     )
     weights = _distinct(_named(p) for p in every)
-    types = _distinct(p.number_type for p in every)
+    types = _distinct(p.dtype for p in every)
     mixed = max(map(len, (_distinct(p.code for p in every), packages))) > 1
     mixed |= len(weights) > 1 or len(types) > 1
     mixed |= any(not p.code for p in every) and any(p.code for p in every)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, shared_scenario
+from xray_drake.provenance import current
 from xray_drake.station.scenario import Scenario, load_scenario
 
 _ENDS = ("horizon", "target_lost", "nothing_graspable")
@@ -65,7 +66,7 @@ def record(
             for step in range(1, num_actions + 1)
         ],
         "end": end,
-        "versions": {"xray_drake": "0.1.0", "drake": "1.51.1"},
+        **current().to_dict(),
         "cpu_seconds": {"drop": 4.0, "rollout": 2.0 + seed / 100},
         **changes,
     }
@@ -84,6 +85,7 @@ def failure(policy: str, seed: int, reason: str = "no rest") -> dict[str, Any]:
         "target": "box_2to1",
         "end": "error",
         "reason": reason,
+        **current().to_dict(),
     }
 
 

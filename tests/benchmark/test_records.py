@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.benchmark.synthetic import many_records, record, write_folder
+from xray_drake.benchmark.paper import changes
 from xray_drake.benchmark.records import (
     ROLLOUTS,
     SCENARIO,
@@ -16,7 +17,12 @@ from xray_drake.benchmark.records import (
     read_rollouts,
     shared_scenario,
 )
-from xray_drake.station.scenario import Scenario, load_scenario, parse_scenario
+from xray_drake.station.scenario import (
+    Scenario,
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+)
 
 
 def demo(change: Callable[[Scenario], None] = lambda _: None) -> Scenario:
@@ -185,3 +191,56 @@ def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8")[:-20], encoding="utf-8")
     (kept,) = read_rollouts(folder)
     assert kept == json.loads(json.dumps(record("xray", 1)))
+
+
+def test_a_record_may_name_its_files_by_another_path(tmp_path: Path) -> None:
+    def own(scenario: Scenario) -> None:
+        scenario.seed = 1
+        scenario.scene.meshes = ["meshes/tools"]
+        scenario.policy.name = "random"
+
+    def absolute(scenario: Scenario) -> None:
+        own(scenario)
+        scenario.scene.meshes = ["/somewhere/meshes/tools"]
+
+    def others(scenario: Scenario) -> None:
+        own(scenario)
+        scenario.scene.meshes = ["meshes/toys"]
+
+    scenario = demo(own)
+    for change, belongs in ((own, True), (absolute, True), (others, False)):
+        item = record("random", 1, scenario=dump_scenario(demo(change)))
+        folder = write_folder(tmp_path / change.__name__, [item], scenario)
+        if belongs:
+            assert collect([folder]).records == [item]
+        else:
+            with pytest.raises(ValueError, match="of another scenario"):
+                collect([folder])
+
+
+def test_changes_are_told(tmp_path: Path) -> None:
+    assert changes(demo()) == ()
+
+    def change(scenario: Scenario) -> None:
+        # A rollout's own.
+        scenario.seed = 3
+        scenario.policy.name = "random"
+        scenario.perception.occupancy = "exact"
+        # The scenario's.
+        scenario.horizon = 5
+        scenario.scene.heap.sleep = False
+        scenario.scene.meshes = ["a", "b"]
+        scenario.camera.X_PB.translation = [0.0, 0.0, 0.9]
+
+    found = changes(demo(change))
+    assert "horizon 5, not 10" in found
+    assert "scene.meshes [a, b], not []" in found
+    assert "camera.X_PB.translation [0.0, 0.0, 0.9], not [0.0, 0.0, 0.8]" in (
+        found
+    )
+    folder = write_folder(tmp_path / "a", [record("xray", 1)], demo(change))
+    assert collect([folder]).changed == tuple(
+        text for text in found if not text.startswith("perception.occupancy")
+    )
+    own = replace(demo(change), name="mine")
+    assert changes(own) == ()

@@ -29,7 +29,7 @@ from xray_drake.benchmark.report import (
 
 
 def of(records: list[dict[str, Any]]) -> Report:
-    return make_report(Collection(records, "demo"))
+    return make_report(Collection(records, "table2"))
 
 
 def tables(text: str) -> list[list[list[str]]]:
@@ -81,6 +81,74 @@ def test_table_3_stands_beside_the_scenario_that_is_modelled_on_it() -> None:
     assert rows[3][-2:] == ["100 %", "4, 5, 5.25"]
     assert "Table III" in text
     assert "Table III" in markdown(report)
+
+
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("demo", ()),
+        ("mine", ()),
+        ("table2", ("scene.num_objects 20, not 14",)),
+        ("table2", ("scene.target domino, not box_2to1",)),
+        ("table3", ("gripper.execution quasi_static, not contact",)),
+    ],
+)
+def test_the_papers_figures_stand_beside_nothing_else(
+    name: str, changed: tuple[str, ...]
+) -> None:
+    report = make_report(Collection(SMALL, name, changed))
+    text = markdown(report)
+    assert "paper" not in text
+    assert "paper" not in comma_separated(report)
+    assert all(change in text for change in changed)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("table2", "perception.weights mine.safetensors, not "),
+        ("table3", "scene.target domino, not box_2to1"),
+    ],
+)
+def test_our_own_inference_and_second_target_are_no_other_scenario(
+    name: str, change: str
+) -> None:
+    report = make_report(Collection(SMALL, name, (change,)))
+    assert "the paper's Table" in markdown(report)
+
+
+def test_every_table_says_what_made_it() -> None:
+    report = of(many_records())
+    lines = markdown(report).splitlines()
+    heads = [n for n, line in enumerate(lines) if line.startswith("## ")]
+    sections = [
+        lines[a:b] for a, b in zip(heads, [*heads[1:], None], strict=True)
+    ]
+    with_table = [s for s in sections if any(li[:1] == "|" for li in s)]
+    assert len(with_table) == 7
+    for section in with_table:
+        assert report.made_by in section
+    assert report.made_by in success_table(report)
+    assert report.made_by.startswith("Made by code ")
+    assert "scenario table2; seeds 0 to 39; " in report.made_by
+    rows = csv.DictReader(io.StringIO(comma_separated(report)))
+    assert report.made_by in [row["value"] for row in rows]
+
+
+def test_what_is_mixed_is_said() -> None:
+    other = record("xray", 7, weights={"n": "1"}, dtype="float32")
+    assert of([*SMALL, other]).made_by.startswith("Made by")
+    for change in (
+        {"code": "0123"},
+        {"dtype": "bfloat16", "weights": {"n": "1"}},
+        {"versions": {"drake": "1.40.0"}},
+    ):
+        mixed = of([*SMALL, other, record("xray", 8, **change)])
+        assert mixed.made_by.startswith("**Mixed**: ")
+    # As records were before they said it.
+    old = record("xray", 8)
+    del old["code"]
+    assert of([*SMALL, old]).made_by.startswith("**Mixed**: ")
 
 
 def test_every_table_is_a_rectangle() -> None:

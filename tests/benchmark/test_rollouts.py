@@ -13,6 +13,8 @@ from xray_drake.benchmark import rollouts
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
 from xray_drake.benchmark.rollouts import Job, run_job, run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
+from xray_drake.files import InUseError
+from xray_drake.provenance import Provenance, read_runs
 from xray_drake.search import rollout
 from xray_drake.station import objects
 from xray_drake.station.scenario import Scenario, dump_scenario
@@ -119,6 +121,30 @@ def test_a_line_cut_short_is_run_again(copy: Path) -> None:
     assert keys(read_rollouts(copy)) == keys(whole)
     for field in ("objects", "start", "end"):
         assert again[field] == whole[-1][field]
+
+
+def test_a_manifest_lies_beside_the_rollouts(finished: Path) -> None:
+    (told,) = read_runs(finished)
+    assert told["command"] == "benchmark"
+    assert told["seeds"] == list(SEEDS)
+    assert told["scenario"] == dump_scenario(tiny())
+    assert told["settings"]["variants"] == [v.label for v in VARIANTS]
+    for item in read_rollouts(finished):
+        # Blind policies are asked for with the scenario's inference.
+        assert Provenance.from_dict(item) == Provenance.from_dict(told)
+        assert item["weights"].keys() == {"windowed.safetensors"}
+        assert item["dtype"]
+
+
+def test_who_writes_is_alone_until_he_ends(copy: Path) -> None:
+    begun = run_rollouts(
+        tiny(), variants=VARIANTS, seeds=(7,), folder=copy, workers=1
+    )
+    next(begun)
+    with pytest.raises(InUseError):
+        run(copy)
+    begun.close()
+    assert run(copy) == []
 
 
 def change_horizon(scenario: Scenario) -> None:

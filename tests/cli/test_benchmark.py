@@ -1,4 +1,6 @@
+import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,14 @@ from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
 from xray_drake.benchmark.report import make_report, success_table
 from xray_drake.benchmark.variants import Variant
 from xray_drake.cli import benchmark as module
+from xray_drake.files import sole_writer
+from xray_drake.provenance import (
+    MANIFEST,
+    Run,
+    current,
+    read_runs,
+    record_run,
+)
 from xray_drake.station.scenario import Scenario
 
 benchmark = partial(answer, "benchmark")
@@ -62,7 +72,7 @@ def test_the_table_is_of_what_was_asked_for(done: Path) -> None:
         record("xray", 30, 4),
         record("xray", 31, 3),
     ]
-    expected = success_table(make_report(Collection(records)))
+    expected = success_table(make_report(Collection(records, "demo")))
     assert "\n".join(expected) in out
     assert f"xray-drake report {done}" in out
 
@@ -184,6 +194,105 @@ def test_rollouts_are_not_gone_on_with_against_the_will(done: Path) -> None:
     assert str(done) in line
     assert (done / ROLLOUTS).read_bytes() == before
     assert benchmark("--out", done, *ASKED, "--resume")[0] == 0
+
+
+def line_of(answered: tuple[int, str, str]) -> str:
+    """Returns the one line of bad input."""
+    code, _, err = answered
+    assert code == 2
+    (line,) = err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("where", [ROLLOUTS, MANIFEST])
+@pytest.mark.parametrize(
+    ("field", "value", "named"),
+    [
+        ("code", "0123", "code 0123"),
+        ("versions", {"drake": "1.40.0"}, "drake 1.40.0, now"),
+        ("weights", {"net": "0123"}, "weights net 0123, now windowed"),
+        ("dtype", "float16", "float16, now float32"),
+    ],
+)
+def test_other_code_does_not_go_on(
+    where: str, field: str, value: object, named: str, tmp_path: Path
+) -> None:
+    change = {field: value}
+    folder = write_folder(
+        tmp_path / "a",
+        [record("xray", 30, **(change if where == ROLLOUTS else {}))],
+    )
+    if where == MANIFEST:
+        other = replace(current(), **change)
+        record_run(folder, Run("benchmark", other))
+    options = (
+        *("--out", folder, "--heaps", 1, "--seed", 30, "--policies", "xray"),
+        *("--occupancy", "learned" if field in ("weights", "dtype") else ""),
+    )
+    before = (folder / ROLLOUTS).read_bytes()
+    line = line_of(benchmark(*options))
+    assert named in line
+    assert "--mix" in line
+    assert (folder / ROLLOUTS).read_bytes() == before
+
+
+def test_mixed_rollouts_are_called_so(
+    done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (done / ROLLOUTS).open("a") as file:
+        old = record("largest", 32, code="0123")
+        file.write(json.dumps(old) + "\n")
+    options = (*ASKED, "--heaps", 3)
+    assert "code 0123" in line_of(benchmark("--out", done, *options))
+    monkeypatch.setattr(
+        "xray_drake.benchmark.rollouts._run_jobs",
+        lambda jobs, workers: iter([record("xray", 32)]),
+    )
+    code, out, _ = benchmark("--out", done, *options, "--mix")
+    assert code == 0
+    assert "**Mixed**: code 0123" in out
+    assert answer("report", done)[1].count("**Mixed**") == 1
+    assert (done / "report.md").read_text().count("**Mixed**") == 7
+    (_, run) = read_runs(done)
+    assert run["seeds"] == [30, 31, 32]
+
+
+def test_two_benchmarks_do_not_write_to_one_folder(done: Path) -> None:
+    before = (done / ROLLOUTS).read_bytes()
+    with sole_writer(done):
+        line = line_of(benchmark("--out", done, *ASKED, "--heaps", 9))
+        # To read is no harm.
+        assert answer("report", done)[0] == 0
+    assert "is being written by another process" in line
+    assert (done / ROLLOUTS).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ('{"policy": "xr', "line 2 cannot be read"),
+        ("[]", "line 2 cannot be read"),
+        ('{"policy": "xray"}', "record 2 is no rollout: it lacks target"),
+        (
+            json.dumps(record("xray", 30, scenario="seed: 30\nhorizon: 3\n")),
+            "record 2 is of another scenario",
+        ),
+        (
+            json.dumps(record("xray", 30, scenario="seed: 31\n")),
+            "another seed than 30",
+        ),
+    ],
+)
+def test_a_line_that_does_not_belong_is_named_and_stays(
+    line: str, named: str, done: Path
+) -> None:
+    path = done / ROLLOUTS
+    first, *others = path.read_text().splitlines()
+    path.write_text("\n".join([first, line, *others]) + "\n")
+    before = path.read_bytes()
+    assert named in line_of(benchmark("--out", done, *ASKED))
+    assert named in line_of(answer("report", done))
+    assert path.read_bytes() == before
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:

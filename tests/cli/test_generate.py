@@ -78,7 +78,7 @@ def line_of(answered: tuple[int, str, str]) -> str:
 def test_a_manifest_lies_beside_the_shards(folder: Path) -> None:
     (run,) = read_runs(folder)
     assert run["command"] == "generate"
-    assert (run["seeds"], run["weights"], run["number_type"]) == ([0], {}, "")
+    assert (run["seeds"], run["weights"], run["dtype"]) == ([0], {}, "")
     assert run["scenario"] == read_manifest(folder).scenario
     assert run["settings"]["splits"]["train"] == 2
     assert "Made by" in answer("dataset", "info", folder)[1]

@@ -14,6 +14,8 @@ from xray_drake.search.record import (
 RECORD_KEYS = {
     *("success", "num_actions", "horizon", "policy", "occupancy", "execution"),
     *("seed", "target", "objects", "actions", "end", "versions"),
+    # Where it comes from.
+    *("commit", "dirty", "code", "weights", "dtype", "processor", "date"),
 }
 ACTION_KEYS = {
     *("step", "object", "is_target", "grasp", "outcome", "score"),

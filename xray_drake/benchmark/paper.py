@@ -1,7 +1,16 @@
 """The paper's own figures."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import yaml
+from pydrake.common.yaml import yaml_dump_typed
+
+from xray_drake.station.scenario import (
+    Scenario,
+    load_scenario,
+    scenario_names,
+)
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,77 @@ TABLE_III = PaperTable(
 )
 
 
-def paper_table(scenario: str) -> PaperTable:
-    """Returns the paper's table that a scenario is modelled on."""
-    return TABLE_III if scenario == "table3" else TABLE_II
+_OURS = ("perception.weights", "perception.dtype", "perception.exact")
+"""What may be changed: how distributions are inferred, which is not theirs."""
+
+_TARGETS = {"table3": ("scene.target domino",)}
+"""What else may be, of single scenarios: the second target of PROTOCOL.md."""
+
+
+def paper_table(
+    scenario: str, changed: Sequence[str] = ()
+) -> PaperTable | None:
+    """Returns the paper's table that a scenario is modelled on, if any.
+
+    Args:
+        scenario: its name.
+        changed: of :func:`changes`.
+    """
+    others = [
+        change
+        for change in changed
+        if not change.startswith(_OURS)
+        and not change.startswith(_TARGETS.get(scenario, ()))
+    ]
+    tables = {"table2": TABLE_II, "table3": TABLE_III}
+    return None if others else tables.get(scenario)
+
+
+def changes(scenario: Scenario) -> tuple[str, ...]:
+    """Says in what a scenario is not the one that comes by its name.
+
+    Seed, policy and inference are a rollout's own: they do not count.
+
+    Returns:
+        A few words a key, "horizon 5, not 10"; nothing where there is no such
+        scenario.
+    """
+    if scenario.name not in scenario_names():
+        return ()
+    own, given = (
+        _leaves(
+            replace(
+                each,
+                seed=0,
+                policy=replace(each.policy, name="", target_first=True),
+                perception=replace(each.perception, occupancy=""),
+            )
+        )
+        for each in (scenario, load_scenario(scenario.name, searched=False))
+    )
+    return tuple(
+        f"{key} {own.get(key, 'none')}, not {given.get(key, 'none')}"
+        for key in sorted(own.keys() | given.keys())
+        if own.get(key) != given.get(key)
+    )
+
+
+def _leaves(scenario: Scenario) -> dict[str, str]:
+    """Returns the path of each key and its value as text."""
+    found: dict[str, str] = {}
+
+    def walk(node: yaml.Node, path: str) -> None:
+        if isinstance(node, yaml.MappingNode) and node.value:
+            for key, value in node.value:
+                walk(value, f"{path}.{key.value}" if path else key.value)
+        else:
+            found[path] = _text(node)
+
+    walk(yaml.compose(yaml_dump_typed(scenario, schema=Scenario)), "")
+    return found
+
+
+def _text(node: yaml.Node) -> str:
+    if isinstance(node, yaml.SequenceNode):
+        return f"[{', '.join(map(_text, node.value))}]"
+    return str(node.value)

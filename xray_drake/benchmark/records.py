@@ -1,13 +1,16 @@
 """Records of rollouts on disk: one folder, or several together."""
 
-import json
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from xray_drake.benchmark.paper import changes
 from xray_drake.benchmark.variants import Variant
 from xray_drake.choices import WITHOUT_NETWORK
+from xray_drake.files import LinesError, read_json_lines
 from xray_drake.station.scenario import (
     PerceptionConfig,
     PolicyConfig,
@@ -18,6 +21,9 @@ from xray_drake.station.scenario import (
 
 ROLLOUTS = "rollouts.jsonl"
 SCENARIO = "scenario.yaml"
+
+_KEYS = ("policy", "target", "seed", "end", "success", "num_actions")
+_SEED = re.compile(r"^seed: *(\d+) *$\n?", re.MULTILINE)
 
 HeapKey = tuple[str, int]
 """What makes a heap again under one scenario: target and seed."""
@@ -34,12 +40,14 @@ class Collection:
     Attributes:
         records: by variant, target and seed, whatever order they came in.
         scenario: name of the scenario.
+        changed: in what it is not the scenario of that name, a few words each.
         repeated: records that were left out, since their heap had been
             searched by the same variant before.
     """
 
     records: list[Record]
     scenario: str = ""
+    changed: tuple[str, ...] = ()
     repeated: int = 0
 
 
@@ -88,22 +96,76 @@ def check_folder(folder: Path, scenario: str) -> None:
 
 
 def read_rollouts(folder: Path, name: str = ROLLOUTS) -> list[Record]:
-    """Reads the records of a folder; a line cut short by a kill is left out.
+    """Reads the records of a folder.
+
+    A last line that was cut short is left out, with a warning.
 
     Args:
         folder: of a benchmark; without a file there are none.
         name: of the file.
+
+    Raises:
+        LinesError: another line cannot be read, or is no rollout.
     """
     path = folder / name
-    if not path.is_file():
-        return []
-    records = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            records.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
+    records = read_json_lines(path)
+    for number, record in enumerate(records, 1):
+        missing = [key for key in _KEYS if key not in record]
+        if missing:
+            raise LinesError(
+                f"{path}: record {number} is no rollout: it lacks "
+                f"{', '.join(missing)}; take the line out"
+            )
     return records
+
+
+def check_records(
+    folder: Path, records: Sequence[Record], scenario: str
+) -> None:
+    """Checks that records are of the scenario beside them.
+
+    Args:
+        folder: that they are from, for messages.
+        records: of :func:`read_rollouts`; those that do not say their scenario
+            are passed over.
+        scenario: of :func:`shared_scenario`.
+
+    Raises:
+        ValueError: one is of another scenario, or another seed's or target's
+            than it says.
+    """
+    wanted = _without_paths(scenario, str(folder / SCENARIO))
+    for number, record in enumerate(records, 1):
+        text = record.get("scenario")
+        if not text:
+            continue
+        where = f"{folder / ROLLOUTS}: record {number}"
+        seed = _SEED.search(text)
+        own = int(seed[1]) if seed else Scenario().seed
+        # Parsed once for all seeds.
+        found = _without_paths(_SEED.sub("", text), where)
+        if found != wanted or own != record["seed"]:
+            raise ValueError(
+                f"{where} is of another scenario than {SCENARIO}, or of "
+                f"another seed than {record['seed']}: take the line out"
+            )
+
+
+@lru_cache(maxsize=256)
+def _without_paths(text: str, source: str) -> str:
+    """Returns a shared scenario; a record may name a file by another path."""
+    scenario = parse_scenario(text or "{}", source, searched=False)
+    meshes = [Path(path).name for path in scenario.scene.meshes]
+    return shared_scenario(
+        replace(
+            scenario,
+            scene=replace(scenario.scene, meshes=meshes),
+            perception=replace(
+                scenario.perception,
+                weights=Path(scenario.perception.weights).name,
+            ),
+        )
+    )
 
 
 def in_order(records: Iterable[Record]) -> list[Record]:
@@ -118,9 +180,9 @@ def collect(folders: Sequence[Path]) -> Collection:
     record counts.
 
     Raises:
-        ValueError: a folder holds no rollouts or no readable scenario, or two
-            do not belong together: their heaps are not made in the same way,
-            or one variant goes by two settings.
+        ValueError: a folder holds no rollouts, no readable scenario, or a
+            record of another one; or two do not belong together: their heaps
+            are not made in the same way, or one variant goes by two settings.
     """
     found: dict[tuple[Variant, HeapKey], Record] = {}
     settings: dict[Variant, tuple[str, Path]] = {}
@@ -130,9 +192,9 @@ def collect(folders: Sequence[Path]) -> Collection:
         path = folder / SCENARIO
         if not records or not path.is_file():
             raise ValueError(f"{folder} holds no rollouts of a benchmark")
-        scenario = parse_scenario(
-            path.read_text(encoding="utf-8"), str(path), searched=False
-        )
+        text = path.read_text(encoding="utf-8")
+        scenario = parse_scenario(text, str(path), searched=False)
+        check_records(folder, records, text)
         first = first or (folder, scenario)
         if _heaps_alone(scenario) != _heaps_alone(first[1]):
             raise ValueError(
@@ -154,6 +216,7 @@ def collect(folders: Sequence[Path]) -> Collection:
     return Collection(
         records=in_order(found.values()),
         scenario=first[1].name if first else "",
+        changed=changes(first[1]) if first else (),
         repeated=repeated,
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xray_drake.benchmark.paper import paper_table
+from xray_drake.benchmark.paper import PaperTable, paper_table
 from xray_drake.benchmark.records import (
     Collection,
     HeapKey,
@@ -43,6 +43,7 @@ from xray_drake.benchmark.statistics import (
 from xray_drake.benchmark.variants import Variant
 from xray_drake.drawing.rollout_figures import actions_figure, success_figure
 from xray_drake.files import write_whole_file
+from xray_drake.provenance import Provenance, describe
 
 REPORT = "report.md"
 FIGURES = "report.csv"
@@ -65,7 +66,9 @@ class Report:
         by_variant: of those, by variant, in order.
         parts: of their heaps.
         scenario: its name.
+        changed: in what it is not the scenario of that name.
         horizon: actions at most.
+        made_by: a line that stands under every table.
     """
 
     records: list[Record]
@@ -73,7 +76,14 @@ class Report:
     by_variant: dict[Variant, list[Record]]
     parts: list[Part]
     scenario: str
+    changed: tuple[str, ...]
     horizon: int
+    made_by: str
+
+    @property
+    def paper(self) -> PaperTable | None:
+        """The paper's table that it may stand beside, if any."""
+        return paper_table(self.scenario, self.changed)
 
 
 def make_report(collection: Collection) -> Report:
@@ -89,6 +99,7 @@ def make_report(collection: Collection) -> Report:
             f"there is nothing to report: of {len(records)} rollouts none is "
             f"of a heap whose target starts at most {MOST_VISIBLE:.0%} visible"
         )
+    changed = " (changed)" if collection.changed else ""
     by_variant: dict[Variant, list[Record]] = {}
     for record in counted:
         by_variant.setdefault(Variant.of(record), []).append(record)
@@ -98,7 +109,13 @@ def make_report(collection: Collection) -> Report:
         by_variant=by_variant,
         parts=parts(counted),
         scenario=collection.scenario,
+        changed=collection.changed,
         horizon=max(record.get("horizon", 1) for record in records),
+        made_by=describe(
+            map(Provenance.from_dict, records),
+            scenario=f"{collection.scenario}{changed}",
+            seeds=(record["seed"] for record in records),
+        ),
     )
 
 
@@ -142,13 +159,15 @@ def write_report(report: Report, folder: Path) -> tuple[Path, ...]:
 
 def markdown(report: Report) -> str:
     """Returns the whole report as Markdown."""
+    paper = f" (the paper's {report.paper.name})" if report.paper else ""
+    below = ["", report.made_by, ""]
     return "\n".join(
         [
             f"# Benchmark of the scenario `{report.scenario}`",
             "",
             *_heaps(report),
             "",
-            f"## Success (the paper's {paper_table(report.scenario).name})",
+            f"## Success{paper}",
             "",
             *success_table(report),
             "",
@@ -157,65 +176,76 @@ def markdown(report: Report) -> str:
             "## Differences",
             "",
             *_differences(report),
-            "",
+            *below,
             "## Success within k actions",
             "",
             *_success_within(report),
-            "",
+            *below,
             f"![Success within k actions]({SUCCESS})",
             "",
             "## Success by how the target starts",
             "",
             *_success_by_part(report),
-            "",
+            *below,
             "## How rollouts end",
             "",
             *_ends(report),
-            "",
+            *below,
             "## Time",
             "",
             *_times(report),
-            "",
+            *below,
             "## Inference",
             "",
             *_inference(report),
-            "",
+            *below,
         ]
     )
 
 
 def success_table(report: Report) -> list[str]:
-    """Returns the paper's Table II or III as Markdown, its figures beside."""
-    theirs = paper_table(report.scenario)
+    """Returns rates and actions by policy as Markdown.
+
+    The figures of the paper's Table II or III stand beside those of the
+    scenario that is modelled on it, as it is.
+    """
+    theirs = report.paper
     rows = []
     for variant, records in report.by_variant.items():
-        paper = theirs.rows.get(variant.policy)
-        rows.append(
-            [
-                variant.label,
-                *_rate_cells(success_rate(records)),
-                _quartiles(records),
+        row = [
+            variant.label,
+            *_rate_cells(success_rate(records)),
+            _quartiles(records),
+        ]
+        if theirs:
+            paper = theirs.rows.get(variant.policy)
+            row += [
                 f"{100 * paper.rate:.0f} %" if paper else "",
                 ", ".join(f"{q:g}" for q in paper.quartiles) if paper else "",
             ]
+        rows.append(row)
+    note = (
+        "Quartiles are of the number of actions over successes. Intervals are "
+        "Wilson's."
+    )
+    if theirs:
+        note += (
+            f" The paper's figures ({theirs.name}) are of {theirs.heaps:,} "
+            f"{theirs.what}, its X-Ray of its own network."
         )
+    head = ("policy", "success rate", "95 % interval", "rollouts")
     return [
         *_table(
             (
-                "policy",
-                "success rate",
-                "95 % interval",
-                "rollouts",
-                "actions, quartiles",
-                "paper: rate",
-                "paper: actions",
+                *(*head, "actions, quartiles"),
+                *(("paper: rate", "paper: actions") if theirs else ()),
             ),
             rows,
         ),
         "",
-        "Quartiles are of the number of actions over successes. Intervals are "
-        f"Wilson's. The paper's figures ({theirs.name}) are of "
-        f"{theirs.heaps:,} {theirs.what}, its X-Ray of its own network.",
+        note,
+        "",
+        report.made_by,
     ]
 
 
@@ -239,13 +269,6 @@ def _heaps(report: Report) -> list[str]:
     heaps: dict[HeapKey, None] = dict.fromkeys(map(heap_of, report.records))
     targets = sorted({target for target, _ in heaps})
     seeds = sorted({seed for _, seed in heaps})
-    versions = sorted(
-        {
-            ", ".join(f"{name} {number}" for name, number in found.items())
-            for record in report.records
-            if (found := record.get("versions"))
-        }
-    )
     shares = ", ".join(
         f"{_percent(share)} {name}"
         for name, share in start_shares(report.records).items()
@@ -271,8 +294,12 @@ def _heaps(report: Report) -> list[str]:
             "Rollouts left out below, since their targets start more than "
             f"{100 * MOST_VISIBLE:.0f} % visible: {left_out}.",
         ]
-    if versions:
-        lines += ["", f"Versions: {'; '.join(versions)}."]
+    if report.changed:
+        lines += [
+            "",
+            f"Changed on the scenario `{report.scenario}`: "
+            f"{'; '.join(report.changed)}.",
+        ]
     return lines
 
 
@@ -462,8 +489,18 @@ def _quantities(report: Report) -> Iterator[dict[str, Any]]:
                         "quantity": quantity,
                         **_columns(estimate),
                     }
-    theirs = paper_table(report.scenario)
-    for policy, row in theirs.rows.items():
+    yield from _of_paper(report.paper)
+    yield {
+        "part": "all",
+        "quantity": "core_seconds_a_rollout",
+        "value": seconds_a_rollout(report.records),
+        "heaps": len(starts(report.records)),
+    }
+    yield {"part": "all", "quantity": "manifest", "value": report.made_by}
+
+
+def _of_paper(table: PaperTable | None) -> Iterator[dict[str, Any]]:
+    for policy, row in table.rows.items() if table else ():
         for quantity, value in (
             ("success_rate", row.rate),
             *zip(_QUARTILES, row.quartiles, strict=True),
@@ -473,14 +510,8 @@ def _quantities(report: Report) -> Iterator[dict[str, Any]]:
                 "variant": policy,
                 "quantity": quantity,
                 "value": value,
-                "heaps": theirs.heaps,
+                "heaps": table.heaps if table else 0,
             }
-    yield {
-        "part": "all",
-        "quantity": "core_seconds_a_rollout",
-        "value": seconds_a_rollout(report.records),
-        "heaps": len(starts(report.records)),
-    }
 
 
 _QUARTILES = (

@@ -1,7 +1,6 @@
 """Runs policies on the same heaps, over processes, resumably."""
 
 import gc
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,13 +11,26 @@ from xray_drake.benchmark.records import (
     SCENARIO,
     Record,
     check_folder,
+    check_records,
     heap_of,
     read_rollouts,
     shared_scenario,
 )
 from xray_drake.benchmark.variants import Variant
-from xray_drake.files import write_whole_file
+from xray_drake.files import (
+    append_json_lines,
+    remove_leftovers,
+    sole_writer,
+    write_whole_file,
+)
 from xray_drake.processes import Died, Failed, JobProcesses, Sent
+from xray_drake.provenance import (
+    Provenance,
+    Run,
+    check_resumable,
+    record_run,
+)
+from xray_drake.station.provenance import scenario_provenance
 from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
 
 
@@ -94,6 +106,7 @@ def run_rollouts(
     seeds: Sequence[int],
     folder: Path,
     workers: int,
+    mix: bool = False,
 ) -> Iterator[Record]:
     """Runs every variant on the same heaps and yields each record as it ends.
 
@@ -108,31 +121,80 @@ def run_rollouts(
         folder: made if it does not exist.
         workers: processes at a time; each uses one thread.
 
+        mix: go on with what other code, versions or weights have made.
+
     Raises:
-        ValueError: the folder holds rollouts of another scenario.
+        ValueError: see :func:`begun`; or another process writes there.
         OSError: it cannot be written.
         RuntimeError: a worker failed otherwise than by its simulation.
     """
-    shared = shared_scenario(scenario)
     folder.mkdir(parents=True, exist_ok=True)
+    with sole_writer(folder):
+        records = begun(folder, scenario, variants, mix=mix)
+        remove_leftovers(folder)
+        write_whole_file(folder / SCENARIO, shared_scenario(scenario).encode())
+        text, target = dump_scenario(scenario), scenario.scene.target
+        run = Run(
+            "benchmark",
+            _provenance(scenario, variants),
+            text,
+            seeds,
+            {"variants": [variant.label for variant in variants]},
+        )
+        record_run(folder, run, resumed=bool(records))
+        done = {(Variant.of(r), heap_of(r)) for r in records}
+        jobs = []
+        for seed in seeds:
+            missing = tuple(
+                v for v in variants if (v, (target, seed)) not in done
+            )
+            if missing:
+                jobs.append(Job(text, seed, missing))
+        with append_json_lines(folder / ROLLOUTS) as add:
+            for record in _run_jobs(jobs, workers):
+                add(record)
+                yield record
+
+
+def begun(
+    folder: Path,
+    scenario: Scenario,
+    variants: Sequence[Variant],
+    *,
+    mix: bool = False,
+) -> list[Record]:
+    """Returns what a folder holds of a benchmark that is to go on.
+
+    Args:
+        folder: of the benchmark; it need not be there.
+        scenario: as :func:`run_rollouts` takes it.
+        variants: what is to be compared.
+        mix: see :func:`run_rollouts`.
+
+    Raises:
+        ValueError: it holds rollouts of another scenario, or a line that
+            cannot be read; or other code, versions or weights made them, and
+            they are not to be mixed.
+    """
+    shared = shared_scenario(scenario)
     check_folder(folder, shared)
-    (folder / SCENARIO).write_text(shared, encoding="utf-8")
     records = read_rollouts(folder)
-    # Without a line cut short, to which the next record would be added.
-    lines = [json.dumps(record) + "\n" for record in records]
-    write_whole_file(folder / ROLLOUTS, "".join(lines).encode())
-    text, target = dump_scenario(scenario), scenario.scene.target
-    done = {(Variant.of(r), heap_of(r)) for r in records}
-    jobs = []
-    for seed in seeds:
-        missing = tuple(v for v in variants if (v, (target, seed)) not in done)
-        if missing:
-            jobs.append(Job(text, seed, missing))
-    with (folder / ROLLOUTS).open("a", encoding="utf-8") as file:
-        for record in _run_jobs(jobs, workers):
-            file.write(json.dumps(record) + "\n")
-            file.flush()
-            yield record
+    check_records(folder, records, shared)
+    if records:
+        check_resumable(
+            folder,
+            _provenance(scenario, variants),
+            made_by=map(Provenance.from_dict, records),
+            mix=mix,
+        )
+    return records
+
+
+def _provenance(scenario: Scenario, variants: Sequence[Variant]) -> Provenance:
+    return scenario_provenance(
+        scenario,
+        {v.applied_to(scenario).perception.occupancy for v in variants},
+    )
 
 
 def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[Record]:
@@ -184,15 +246,19 @@ def _failure(
     *,
     seed: int | None = None,
 ) -> Record:
+    run = variant.applied_to(scenario)
+    run = replace(run, seed=scenario.seed if seed is None else seed)
     return {
         "success": False,
         "num_actions": 0,
-        "horizon": scenario.horizon,
+        "horizon": run.horizon,
         "policy": variant.policy,
         "target_first": variant.target_first,
         "occupancy": variant.occupancy,
-        "seed": scenario.seed if seed is None else seed,
-        "target": scenario.scene.target,
+        "seed": run.seed,
+        "target": run.scene.target,
         "end": "error",
         "reason": " ".join(str(reason).split()),
+        "scenario": dump_scenario(run),
+        **scenario_provenance(run).to_dict(),
     }

@@ -15,16 +15,15 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from xray_drake.benchmark.paper import changes
 from xray_drake.benchmark.records import (
     ROLLOUTS,
     Collection,
-    check_folder,
     heap_of,
     read_rollouts,
-    shared_scenario,
 )
 from xray_drake.benchmark.report import make_report, success_table
-from xray_drake.benchmark.rollouts import run_rollouts
+from xray_drake.benchmark.rollouts import begun, run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
 from xray_drake.cli.configure import configure
 from xray_drake.station.objects import imported_objects
@@ -47,6 +46,7 @@ class BenchmarkOptions:
         seeds: one heap each.
         workers: processes.
         resume: go on with what the folder holds.
+        mix: even with what other code has made.
     """
 
     out: Path
@@ -58,6 +58,7 @@ class BenchmarkOptions:
     seeds: Sequence[int]
     workers: int
     resume: bool
+    mix: bool = False
 
 
 def run(options: BenchmarkOptions, console: Console) -> None:
@@ -65,20 +66,20 @@ def run(options: BenchmarkOptions, console: Console) -> None:
 
     Raises:
         ValueError: bad input, or the folder holds rollouts of another
-            scenario.
+            scenario or of other code, or is written by another process.
         OSError: it cannot be written.
         RuntimeError: a worker failed.
     """
     scenario, compared = _plan(options)
     target = scenario.scene.target
     wanted = {(v, (target, seed)) for v in compared for seed in options.seeds}
-    check_folder(options.out, shared_scenario(scenario))
-    already = {_key(record) for record in read_rollouts(options.out)}
-    if already and not options.resume:
+    if not options.resume and read_rollouts(options.out):
         raise ValueError(
             f"{options.out} holds rollouts: leave out --no-resume to go on "
             "with them, or choose another --out"
         )
+    records = begun(options.out, scenario, compared, mix=options.mix)
+    already = {_key(record) for record in records}
     if scenario.scene.meshes:
         # Decomposed once, by all processes together; workers find the cache.
         imported_objects(scenario, workers=options.workers)
@@ -99,11 +100,13 @@ def run(options: BenchmarkOptions, console: Console) -> None:
             seeds=options.seeds,
             folder=options.out,
             workers=options.workers,
+            mix=options.mix,
         ):
             bars.advance(task)
     records = [r for r in read_rollouts(options.out) if _key(r) in wanted]
     try:
-        lines = success_table(make_report(Collection(records, scenario.name)))
+        found = Collection(records, scenario.name, changes(scenario))
+        lines = success_table(make_report(found))
     except ValueError as error:  # done, though all targets were in view
         lines = [str(error)]
     for line in (

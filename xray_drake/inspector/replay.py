@@ -11,10 +11,11 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
 from xray_drake.benchmark.variants import Variant
 from xray_drake.inspector.snapshot import Snapshot, SnapshotRecorder
+from xray_drake.provenance import versions
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import AGENT, build_search_diagram
 from xray_drake.search.monitor import attach_monitor
-from xray_drake.search.record import SearchRecord, versions
+from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import (

@@ -22,6 +22,7 @@ from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin, inside_tote
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
+from xray_drake.station.provenance import scenario_provenance
 from xray_drake.station.scenario import dump_scenario
 from xray_drake.station.start import target_view
 
@@ -118,6 +119,7 @@ class SearchMonitor:
             if scenario.perception.occupancy in WITHOUT_NETWORK
             else scenario.perception.dtype,
             scenario=dump_scenario(scenario),
+            provenance=scenario_provenance(scenario),
         )
 
     def __call__(self, root_context: Context) -> EventStatus:

@@ -2,15 +2,14 @@
 
 import json
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xray_drake import __version__
 from xray_drake.files import write_whole_file
 from xray_drake.messages import Grasp, Outcome
+from xray_drake.provenance import Provenance, current
 
 
 @dataclass
@@ -112,6 +111,7 @@ class SearchRecord:
         dtype: what the network computed in; empty where there was none.
         scenario: as YAML, whatever differs from the defaults; the search can
             be run again from it.
+        provenance: what made it; its keys are the record's.
     """
 
     horizon: int
@@ -127,6 +127,7 @@ class SearchRecord:
     target_first: bool = True
     dtype: str = ""
     scenario: str = ""
+    provenance: Provenance = field(default_factory=current)
 
     @property
     def success(self) -> bool:
@@ -156,17 +157,8 @@ class SearchRecord:
             "actions": [action.to_dict() for action in self.actions],
             "end": self.end,
             "scenario": self.scenario,
-            "versions": versions(),
+            **self.provenance.to_dict(),
         }
-
-
-def versions() -> dict[str, str]:
-    """Returns the versions that a rollout depends on."""
-    return {
-        "xray_drake": __version__,
-        "drake": version("drake"),
-        "numpy": np.__version__,
-    }
 
 
 def write_record(record: SearchRecord, path: Path) -> None:
