@@ -1,11 +1,33 @@
+import copy
+import dataclasses
+import pickle
+import typing
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from pydrake.common.schema import Rotation
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.common.schema import Rotation, Transform
 from pydrake.common.yaml import yaml_dump_typed
+from pydrake.geometry import Rgba
+from pydrake.math import RollPitchYaw
+from pydrake.systems.sensors import CameraConfig
 
 from xray_drake.choices import TALL_TARGETS, TARGET_NAMES
+from xray_drake.configuration import (
+    Choice,
+    Interval,
+    Numbers,
+    Rectangle,
+    fields_of,
+    rules_of,
+)
+from xray_drake.scene.cameras import pinhole_camera, sample_camera
+from xray_drake.station import scenario as scenario_module
+from xray_drake.station.drake_rules import DRAKE_RULES
 from xray_drake.station.scenario import (
     Scenario,
     ScenarioError,
@@ -13,6 +35,7 @@ from xray_drake.station.scenario import (
     dump_scenario,
     load_scenario,
     parse_scenario,
+    record_scenario,
     scenario_names,
 )
 
@@ -87,8 +110,8 @@ def test_every_scenario_of_the_package_loads(name: str) -> None:
 def test_a_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("seed: 3\nscene:\n  target: lid\n")
-    for given in (path, str(path)):
-        scenario = load_scenario(given)
+    for name in (path, str(path)):
+        scenario = load_scenario(name)
         assert (scenario.seed, scenario.scene.target) == (3, "lid")
         assert scenario.scene.num_objects == Scenario().scene.num_objects
 
@@ -254,10 +277,13 @@ def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("scene: {num_objects: 0}", ["scene.num_objects", "0", "at least 1"]),
+        (
+            "scene: {num_objects: 0}",
+            ["scene.num_objects is 0: it must be from 1"],
+        ),
         ("scene: {num_objects: -2}", ["scene.num_objects", "-2"]),
-        ("horizon: 0", ["horizon is 0", "at least 1"]),
-        ("seed: -1", ["seed is -1", "negative"]),
+        ("horizon: 0", ["horizon is 0: it must be from 1"]),
+        ("seed: -1", ["seed is -1: it must be from 0"]),
         pytest.param(
             "plant_config: {time_step: -1}",
             ["plant_config.time_step"],
@@ -413,12 +439,12 @@ def test_a_scenario_made_in_python_is_checked_too() -> None:
         ),
         (
             "scene: {random_number: {mean: -1}}",
-            "scene.random_number.mean is -1.0: it must be from 0 to 100",
+            "scene.random_number.mean is -1: it must be from 0 to 100",
         ),
-        ("scene: {mesh_scale: 0}", "scene.mesh_scale is 0.0"),
+        ("scene: {mesh_scale: 0}", "scene.mesh_scale is 0"),
         (
             "scene: {most_visible: 90}",
-            "scene.most_visible is 90.0: it must be from 0 to 1",
+            "scene.most_visible is 90: it must be from 0 to 1",
         ),
         (
             "scene: {packaged: true, packaged_share: -0.1}",
@@ -451,3 +477,271 @@ def test_a_misspelt_field_is_an_error() -> None:
     scenario = load_scenario("demo")
     with pytest.raises(AttributeError, match="nmae"):
         scenario.policy.nmae = "largest"  # type: ignore[attr-defined]
+
+
+def _of_rule(rule: object) -> st.SearchStrategy:
+    if isinstance(rule, Choice):
+        return st.sampled_from(rule.names)
+    if isinstance(rule, Numbers):
+        return st.sampled_from(rule.lengths).flatmap(
+            lambda n: st.lists(_of_rule(rule.each), min_size=n, max_size=n)
+        )
+    if isinstance(rule, Rectangle):
+        side = st.tuples(st.floats(-1, 0), st.floats(0.1, 1))
+        return st.tuples(side, side).map(lambda xy: [*xy[0], *xy[1]])
+    if not isinstance(rule, Interval):
+        return st.just(0.0)  # of what must be left out
+    if rule.whole:
+        return st.integers(rule.low, rule.high)
+    return st.floats(
+        rule.low,
+        rule.high,
+        exclude_min=not rule.with_low,
+        exclude_max=not rule.with_high,
+    )
+
+
+_TEXT = st.text(st.characters(exclude_categories=["Cs"])) | st.sampled_from(
+    ["1e-3", "010", "null", "~", "yes", "!Rpy {}", "- a", "#", "2026-01-01"]
+)
+_ROTATIONS = st.one_of(
+    st.just(Rotation.Identity()),
+    st.builds(
+        Rotation.Rpy,
+        deg=st.lists(st.floats(-360, 360), min_size=3, max_size=3),
+    ),
+    st.builds(
+        Rotation.AngleAxis,
+        angle_deg=st.floats(-360, 360),
+        axis=st.lists(st.floats(-1, 1), min_size=3, max_size=3),
+    ),
+).map(lambda value: Rotation(value=value))
+_TRANSFORMS = st.builds(
+    Transform,
+    base_frame=st.none() | st.just("world"),
+    translation=st.lists(st.floats(-9, 9), min_size=3, max_size=3),
+    rotation=_ROTATIONS,
+)
+_LEAVES: dict[object, st.SearchStrategy] = {
+    bool: st.booleans(),
+    str: _TEXT,
+    list[str]: st.lists(_TEXT, max_size=3),
+    Transform: _TRANSFORMS,
+    Rgba: st.builds(Rgba, *(st.floats(0, 1) for _ in range(4))),
+}
+
+
+def _strategy(kind: object, rule: object) -> Callable:
+    """Returns what draws a value of a field, given its default."""
+    if rule is not None:
+        drawn = _of_rule(rule)
+        if type(None) in typing.get_args(kind):
+            drawn |= st.none()
+    elif kind in _LEAVES:
+        drawn = _LEAVES[kind]
+    elif str in typing.get_args(kind):  # renderer_class
+        drawn = st.sampled_from(["", "RenderEngineVtk"])
+    elif type(None) in typing.get_args(kind):
+        drawn = st.none() | _TEXT
+    else:
+        kinds = typing.get_args(kind) or (kind,)
+        drawn = st.sampled_from(kinds).flatmap(_anything)
+    return drawn
+
+
+@st.composite
+def _anything(draw: Callable, schema: type) -> object:
+    """Draws a configuration: some fields are anything, the others default."""
+    config = Scenario().camera if schema is CameraConfig else schema()
+    rules = rules_of(schema, DRAKE_RULES)
+    for name, kind in fields_of(schema).items():
+        nested = dataclasses.is_dataclass(kind) or "Config" in str(kind)
+        if nested or draw(st.integers(0, 3)) == 0:
+            setattr(config, name, draw(_strategy(kind, rules.get(name))))
+    return config
+
+
+@settings(max_examples=25)
+@given(_anything(Scenario))
+def test_what_is_written_is_read_again(scenario: Scenario) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        # Whether the camera sees the floor is another matter.
+        patch.setattr(scenario_module, "check_scenario", lambda *a, **k: None)
+        read = parse_scenario(dump_scenario(scenario), SOURCE)
+    assert whole(read) == whole(scenario)
+    assert read == scenario
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+    assert copy.deepcopy(scenario) == scenario
+
+
+def test_every_field_matters_to_equality() -> None:
+    scenario = Scenario()
+    assert scenario == Scenario()
+    assert scenario != "demo"
+    scenario.camera.center_x = None
+    assert scenario != Scenario()
+    scenario = Scenario()
+    scenario.gripper.planner.judgement.clearance = 0.004
+    assert scenario != Scenario()
+
+
+def test_a_camera_centred_by_null_stays_so() -> None:
+    text = "camera: {width: 640, height: 480, center_x: null, center_y: null}"
+    asked = parse_scenario(text, SOURCE, searched=False)
+    read = parse_scenario(dump_scenario(asked), SOURCE, searched=False)
+    wanted = pinhole_camera(asked.camera).intrinsics
+    np.testing.assert_array_equal(wanted[:2, 2], [319.0, 239.0])
+    np.testing.assert_array_equal(
+        pinhole_camera(read.camera).intrinsics, wanted
+    )
+
+
+def test_cameras_are_drawn_around_one_centred_by_null() -> None:
+    scenario = load_scenario("paper")
+    scenario.camera.center_x = None
+    drawn = sample_camera(
+        scenario.camera, scenario.camera_sampling, np.random.default_rng(0)
+    )
+    assert drawn.center_x == pytest.approx(255.5, abs=3.0)
+
+
+@pytest.mark.parametrize(
+    "struct",
+    [
+        Scenario().camera,
+        Scenario().camera.focal,
+        CameraConfig.FovDegrees(x=50.0),
+        Scenario().camera.X_PB,
+        Scenario().plant_config,
+        Scenario().simulator_config,
+        Scenario().visualization,
+    ],
+    ids=lambda struct: type(struct).__name__,
+)
+def test_what_a_scenario_holds_can_be_pickled(struct: object) -> None:
+    copied = pickle.loads(pickle.dumps(struct))
+    assert type(copied) is type(struct)
+    assert yaml_dump_typed(copied) == yaml_dump_typed(struct)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("gripper: {parameters: {friction: -1}}", "parameters.friction is -1"),
+        ("policy: {min_grasp_quality: .nan}", "min_grasp_quality is nan"),
+        ("perception: {exact: {accept_iou: 5}}", "exact.accept_iou is 5"),
+        ("perception: {exact: {floor: [1, 0, 0]}}", "must be 4 numbers, not 3"),
+        ("perception: {exact: {floor: [1, 0, 0, 1]}}", "each low below its hi"),
+        ("perception: {exact: {rotations: 0}}", "exact.rotations is 0"),
+        ("perception: {hsv: {hue: .nan}}", "perception.hsv.hue is nan"),
+        ("perception: {depth_noise: {sigma: -1}}", "depth_noise.sigma is -1"),
+        ("perception: {exact: {label: {cost: 0}}}", "exact.label.cost is 0"),
+        ("simulator_config: {accuracy: -1}", "simulator_config.accuracy is -1"),
+        ("simulator_config: {accuracy: .inf}", "simulator_config.accuracy is"),
+        (
+            "simulator_config: {integration_scheme: foo}",
+            "simulator_config.integration_scheme is 'foo': choose one of",
+        ),
+        (
+            "plant_config: {penetration_allowance: 0}",
+            "penetration_allowance is",
+        ),
+        (
+            "plant_config: {contact_surface_representation: x}",
+            "choose one of t",
+        ),
+        ("plant_config: {time_step: 5}", "plant_config.time_step is 5"),
+        ("camera: {z_far: .nan}", "camera.z_far is nan"),
+        ("camera: {z_near: 4}", "camera.z_near is 4.0: it must be at most 3.0"),
+        ("camera: {focal: {x: -1}}", "camera.focal.x is -1"),
+        ("camera: {focal: !FovDegrees {x: 200}}", "camera.focal.x is 200"),
+        ("camera: {focal: !Fov {x: 50}}", "camera.focal is tagged !Fov"),
+        ("camera: {width: 512.5}", "camera.width is 512.5: it must be a whole"),
+        ("camera: {width: true}", "camera.width is True: it must be a whole"),
+        ("camera: {center_x: left}", "camera.center_x is 'left'"),
+        ("camera: {background: {rgba: [2, 0, 0, 1]}}", "background.rgba is [2"),
+        ("camera: {X_PB: {translation: [0, a, 1]}}", "X_PB.translation[1] is"),
+        (
+            "camera: {X_PB: {translation: [0, .nan, 1]}}",
+            "X_PB.translation is [",
+        ),
+        ("camera: {X_PB: {translation: [0, 1]}}", "camera.X_PB.translation"),
+        ("camera: {output_delay: 0.1}", "camera.output_delay is 0.1"),
+        (
+            "camera: {X_PB: {rotation: !Rpy {deg: [0, 0, 0]}}}",
+            "camera: X_PB: th",
+        ),
+        (
+            "camera: {X_PB: {translation: [0, 0, -1]}}",
+            "does not look at the bin",
+        ),
+        (
+            "camera: {X_PB: {translation: [5, 0, 1]}}",
+            "does not look at the bin",
+        ),
+        (
+            "camera: {X_PB: {translation: [0, 0, 4]}}",
+            "out of the sensor's range",
+        ),
+        ("camera: {X_BD: {translation: [0, 0.1, 0]}}", "X_BD is not X_BC"),
+        (
+            "camera_sampling: {least_radius: 2}",
+            "least_radius is 2.0: it must be",
+        ),
+        ("camera_sampling: {most_angle: 120}", "camera_sampling.most_angle is"),
+        ("visualization: {publish_period: 0}", "visualization.publish_period"),
+        (
+            "gripper: {contact: {lost: 0.95}}",
+            "gripper.contact.lost is 0.95: it",
+        ),
+        (
+            "gripper: {planner: {perturbation: {friction_min: 0.6}}}",
+            "planner.perturbation.friction_min is 0.6: it must be at most 0.5",
+        ),
+        (
+            "seed: 9223372036854775808",
+            "seed is 9223372036854775808: it must be",
+        ),
+        ("seed: 010", "seed is '010': it must be a whole number"),
+        ("horizon: true", "horizon is True: it must be a whole number"),
+        ("scene: {mesh_scale: .inf}", "scene.mesh_scale is inf"),
+        (
+            "scene: {heap: {drop_period: -0.1}}",
+            "scene.heap.drop_period is -0.1",
+        ),
+        ("name: 5", "name is 5: it must be text"),
+        ("scene: {target: ''}", "scene.target is '': choose one of"),
+        ("scene: {meshes: [1]}", "scene.meshes[0] is 1: it must be text"),
+    ],
+)
+def test_the_key_of_what_makes_no_sense(text: str, said: str) -> None:
+    assert said in complaint(text)
+
+
+def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("scene: {meshes: [in, /out]}\n")
+    assert load_scenario(path).scene.meshes == [f"{tmp_path}/in", "/out"]
+    assert load_scenario(path).perception.weights == ""
+
+
+def test_paths_of_records_hold_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenario = Scenario()
+    scenario.scene.meshes = ["in"]
+    scenario.perception.weights = "w.safetensors"
+    read = parse_scenario(record_scenario(scenario), SOURCE, searched=False)
+    assert read.scene.meshes == [f"{tmp_path}/in"]
+    assert read.perception.weights == f"{tmp_path}/w.safetensors"
+    assert scenario.scene.meshes == ["in"]
+
+
+def test_a_pose_of_another_kind_than_the_default() -> None:
+    scenario = Scenario()
+    scenario.camera.X_PB = Transform(
+        translation=[0.0, 0.0, 0.8],
+        rotation=Rotation(RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix()),
+    )
+    assert parse_scenario(dump_scenario(scenario), SOURCE) == scenario

@@ -15,8 +15,8 @@ from xray_drake.station.scenario import (
     PerceptionConfig,
     PolicyConfig,
     Scenario,
-    dump_scenario,
     parse_scenario,
+    record_scenario,
 )
 
 ROLLOUTS = "rollouts.jsonl"
@@ -61,7 +61,7 @@ def shared_scenario(scenario: Scenario) -> str:
 
     That is the seed and what makes the variant.
     """
-    return dump_scenario(
+    return record_scenario(
         replace(
             scenario,
             seed=0,
@@ -193,7 +193,9 @@ def collect(folders: Sequence[Path]) -> Collection:
         if not records or not path.is_file():
             raise ValueError(f"{folder} holds no rollouts of a benchmark")
         text = path.read_text(encoding="utf-8")
-        scenario = parse_scenario(text, str(path), searched=False)
+        scenario = parse_scenario(
+            text, str(path), searched=False, folder=folder
+        )
         check_records(folder, records, text)
         first = first or (folder, scenario)
         if _heaps_alone(scenario) != _heaps_alone(first[1]):

@@ -31,7 +31,11 @@ from xray_drake.provenance import (
     record_run,
 )
 from xray_drake.station.provenance import scenario_provenance
-from xray_drake.station.scenario import Scenario, dump_scenario, parse_scenario
+from xray_drake.station.scenario import (
+    Scenario,
+    parse_scenario,
+    record_scenario,
+)
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,7 @@ def run_rollouts(
         records = begun(folder, scenario, variants, mix=mix)
         remove_leftovers(folder)
         write_whole_file(folder / SCENARIO, shared_scenario(scenario).encode())
-        text, target = dump_scenario(scenario), scenario.scene.target
+        text, target = record_scenario(scenario), scenario.scene.target
         run = Run(
             "benchmark",
             _provenance(scenario, variants),
@@ -259,6 +263,6 @@ def _failure(
         "target": run.scene.target,
         "end": "error",
         "reason": " ".join(str(reason).split()),
-        "scenario": dump_scenario(run),
+        "scenario": record_scenario(run),
         **scenario_provenance(run).to_dict(),
     }

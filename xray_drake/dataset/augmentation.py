@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from xray_drake.configuration import count, number
 from xray_drake.dataset.images import LabelledImages
 from xray_drake.perception.depth_noise import DepthNoise
 
@@ -23,11 +24,11 @@ class Augmentation:
     flips: bool = True
     # Turn about the image centre by up to ±, rad. What comes from outside the
     # image has no reading and no label.
-    max_rotation: float = math.pi
+    max_rotation: float = number(math.pi, "[0, 3.1416]")
     # The sensor; None leaves the depth as it was rendered.
     noise: DepthNoise | None = field(default_factory=DepthNoise)
     # Grow or shrink the modal mask by up to so many pixels.
-    mask_noise: int = 0
+    mask_noise: int = count(0, "[0, 100]")
 
     def __call__(
         self, images: LabelledImages, rng: np.random.Generator

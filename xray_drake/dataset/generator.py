@@ -12,6 +12,7 @@ from zlib import crc32
 import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
+from xray_drake.configuration import with_paths
 from xray_drake.dataset.check import TILTED
 from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
@@ -34,8 +35,8 @@ from xray_drake.station.objects import (
 )
 from xray_drake.station.scenario import (
     Scenario,
-    dump_scenario,
     parse_scenario,
+    record_scenario,
 )
 
 LABELS = ("paper", "exact")
@@ -112,6 +113,7 @@ def plan_dataset(
     targets = targets or (scenario.scene.target,)
     for target in targets:
         target_model(target)
+    scenario = with_paths(scenario, Path())
     scene = scenario.scene
     random = scene.random_number
     for number in (
@@ -130,7 +132,7 @@ def plan_dataset(
         snapshots=snapshots,
         height=scenario.camera.height,
         width=scenario.camera.width,
-        scenario=dump_scenario(scenario),
+        scenario=record_scenario(scenario),
         color=color,
         meshes=tuple(scenario.scene.meshes),
         options={"label": label},

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from xray_drake.configuration import count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.candidates import in_groups, is_among
 from xray_drake.grasping.depth_approach import ApproachShape
@@ -34,52 +35,52 @@ class DepthPlannerConfig:
     """How grasps are looked for in a depth image."""
 
     # Readings of the object that there must be.
-    min_pixels: int = 20
+    min_pixels: int = count(20, "[1, 1000000]")
     # An object's weight is guessed by this density, kg/m³, …
-    density: float = 500.0
+    density: float = number(500.0, "(0, 25000]")
     # … and by at most this thickness, m. Of training objects high in a heap,
     # plain and packaged alike in number, half weigh more than is guessed.
-    thickness: float = 0.015
+    thickness: float = number(0.015, "(0, 1]")
     # Least distance of the pads when closed, m.
-    min_width: float = 0.002
+    min_width: float = number(0.002, "[0, 0.1]")
     # Free space that must be left beside the widest object, m.
-    min_clearance: float = 0.0025
+    min_clearance: float = number(0.0025, "[0, 0.1]")
     # Rims of a pair may be this far aside of its axis, m, …
-    max_offset: float = 0.004
+    max_offset: float = number(0.004, "[0, 0.1]")
     # … and differ this much in height, m.
-    max_step: float = 0.012
+    max_step: float = number(0.012, "[0, 1]")
     # How far below the lower rim the fingertips go, where nothing stops them
     # earlier, m.
-    insertion: float = 0.008
+    insertion: float = number(0.008, "[0, 0.1]")
     # Largest angle between approach and straight down, rad.
-    max_tilt: float = 0.79
+    max_tilt: float = number(0.79, "[0, 1.5708]")
     # Places on the object where the cup is laid, about, and how many of those
     # where it seals are tried.
-    suction_samples: int = 250
-    suction_places: int = 15
+    suction_samples: int = count(250, "[1, 100000]")
+    suction_places: int = count(15, "[1, 100000]")
     # Turns of the cup about its axis that are tried.
-    suction_turns: int = 6
+    suction_turns: int = count(6, "[1, 360]")
     # Approaches of the jaw that are compared with the free space, and those of
     # them that are judged, at most.
-    max_candidates: int = 1500
-    max_checks: int = 150
+    max_candidates: int = count(1500, "[1, 1000000]")
+    max_checks: int = count(150, "[1, 100000]")
     # A grasp with this much free space around the gripper loses nothing, m.
-    full_clearance: float = 0.008
+    full_clearance: float = number(0.008, "(0, 1]")
     # The best are judged again under this many perturbations; the share that
     # holds multiplies their quality. 0 leaves it out.
-    rehearsals: int = 12
+    rehearsals: int = count(12, "[0, 1000]")
     # How many of them.
-    finalists: int = 8
+    finalists: int = count(8, "[1, 1000]")
     # What a rehearsal perturbs by.
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
     # Grasps are alike if they are this near to each other, m and rad.
-    same_position: float = 0.005
-    same_angle: float = 0.175
+    same_position: float = number(0.005, "[0, 1]")
+    same_angle: float = number(0.175, "[0, 3.1416]")
     # An excluded grasp excludes those this near. It is more than for models,
     # since what was guessed wrong of the object there, its weight, its middle,
     # what holds it down, is as wrong a little beside.
-    excluded_position: float = 0.010
-    excluded_angle: float = 0.5
+    excluded_position: float = number(0.010, "[0, 1]")
+    excluded_angle: float = number(0.5, "[0, 3.1416]")
     # How execution is judged.
     judgement: JudgementConfig = field(default_factory=JudgementConfig)
 

@@ -10,6 +10,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from xray_drake.configuration import number
 from xray_drake.resources import models_dir
 
 FINGER_TRAVEL = 0.025
@@ -27,28 +28,28 @@ class GripperParameters:
     """
 
     # Distance of the pads when open, m.
-    opening: float = 0.05
+    opening: float = number(0.05, "(0, 0.5]")
     # Largest normal force at each pad, N.
-    force: float = 20.0
+    force: float = number(20.0, "(0, 1000]")
     # Coulomb coefficient of pads and cup.
-    friction: float = 0.5
+    friction: float = number(0.5, "(0, 5]")
     # Width and height of the pad at each fingertip, m (gripper.sdf).
-    pad_width: float = 0.010
-    pad_height: float = 0.010
+    pad_width: float = number(0.010, "(0, 0.1]")
+    pad_height: float = number(0.010, "(0, 0.1]")
     # How far the pad gives way, m: what is closer than this to the first point
     # of contact touches the pad too.
-    pad_compliance: float = 0.001
+    pad_compliance: float = number(0.001, "[0, 0.1]")
     # Radius of the suction cup's lip, m.
-    cup_radius: float = 0.015
+    cup_radius: float = number(0.015, "(0, 0.1]")
     # Largest pull of the vacuum, N: 20 kPa below ambient over the cup's area,
     # π (15 mm)². Chosen: a small ejector on a bellows cup lifts about 1 kg.
-    vacuum_force: float = 14.0
+    vacuum_force: float = number(14.0, "(0, 1000]")
     # Elastic constant κ of the lip in Dex-Net 3.0's model, N. V / 2π: the
     # moment πrκ = rV/2 is the one at which a lip with linearly varying
     # pressure, pressed by V in all, would begin to lift on one side.
-    cup_elasticity: float = 2.2
+    cup_elasticity: float = number(2.2, "(0, 1000]")
     # What the bellows takes up along its axis, either way, m.
-    bellows_travel: float = 0.004
+    bellows_travel: float = number(0.004, "(0, 0.1]")
 
 
 @dataclass(frozen=True, eq=False)

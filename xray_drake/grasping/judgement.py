@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xray_drake.configuration import number
 from xray_drake.grasping.collision import GraspScene
 from xray_drake.grasping.gripper_geometry import (
     GripperGeometry,
@@ -32,24 +33,24 @@ class JudgementConfig:
     """How execution is judged."""
 
     # Free space between each pad and the object while the jaw descends, m.
-    clearance: float = 0.005
+    clearance: float = number(0.005, "[0, 0.1]")
     # The gripper stops at contact at most this far before the given pose, m;
     # if it would have to stop earlier, the grasp fails.
-    max_retreat: float = 0.006
+    max_retreat: float = number(0.006, "[0, 0.1]")
     # In execution it is commanded this far beyond the given pose, m, because
     # it stops at contact anyway.
-    overtravel: float = 0.002
+    overtravel: float = number(0.002, "[0, 0.1]")
     # Distance that the fingertips keep from the bin's floor, m.
-    floor_clearance: float = 0.0005
+    floor_clearance: float = number(0.0005, "[0, 0.1]")
     # Length of the straight approach that must be free, m.
-    approach_distance: float = 0.10
+    approach_distance: float = number(0.10, "(0, 1]")
     # The rigid part of the cup ends this far before its lip, m.
-    cup_standoff: float = 0.002
+    cup_standoff: float = number(0.002, "[0, 0.1]")
     # A cup seals where the surface is this near the lip's plane, m, …
-    seal_tolerance: float = 0.0025
+    seal_tolerance: float = number(0.0025, "(0, 0.1]")
     # … and its normals deviate by no more than this, rad. Both together let
     # the cup seal on cylinders of 25 mm radius, as bellows cups do.
-    seal_angle: float = 0.70
+    seal_angle: float = number(0.70, "(0, 1.5708]")
 
 
 @dataclass(frozen=True, eq=False)

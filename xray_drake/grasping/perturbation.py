@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from xray_drake.configuration import number
 from xray_drake.messages import Grasp
 
 
@@ -13,14 +14,14 @@ class PerturbationConfig:
     """Errors of a quasi-static execution (PROTOCOL.md, Rollout)."""
 
     # Standard deviation of the position, per axis, m.
-    position_sigma: float = 0.0025
+    position_sigma: float = number(0.0025, "[0, 0.1]")
     # Standard deviation of the rotation's angle, rad; its axis is uniform.
-    angle_sigma: float = 0.05
+    angle_sigma: float = number(0.05, "[0, 1.5708]")
     # Mean and standard deviation of the friction coefficient, and the value
     # that it always exceeds.
-    friction: float = 0.5
-    friction_sigma: float = 0.1
-    friction_min: float = 0.05
+    friction: float = number(0.5, "(0, 5]")
+    friction_sigma: float = number(0.1, "[0, 5]")
+    friction_min: float = number(0.05, "[0, 5]")
 
 
 def perturb(

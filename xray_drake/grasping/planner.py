@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from xray_drake.configuration import count, number
 from xray_drake.grasping.candidates import (
     GraspCandidates,
     in_groups,
@@ -61,38 +62,38 @@ class GraspPlannerConfig:
     """How grasps are looked for."""
 
     # Surface points drawn per object for the jaw and for the cup.
-    jaw_samples: int = 400
-    suction_samples: int = 150
+    jaw_samples: int = count(400, "[1, 100000]")
+    suction_samples: int = count(150, "[1, 100000]")
     # Free space that must be left beside the widest object, m.
-    min_clearance: float = 0.0025
+    min_clearance: float = number(0.0025, "[0, 0.1]")
     # How far beyond the contacts the jaw is commanded, m: the middle of the
     # pads then meets the contacts, where nothing stops it earlier.
-    insertion: float = 0.002
+    insertion: float = number(0.002, "[0, 0.1]")
     # Largest angle between approach and straight down, rad.
-    max_tilt: float = 1.05
+    max_tilt: float = number(1.05, "[0, 1.5708]")
     # Turns of the cup about its axis that are tried.
-    suction_turns: int = 8
+    suction_turns: int = count(8, "[1, 360]")
     # Points on each object's surface, for the cheap check of clearance; the
     # object to grasp gets four times as many.
-    surface_points: int = 150
+    surface_points: int = count(150, "[1, 100000]")
     # Candidates whose clearance is estimated, and those of them that are
     # judged, at most.
-    max_candidates: int = 800
-    max_checks: int = 100
+    max_candidates: int = count(800, "[1, 1000000]")
+    max_checks: int = count(100, "[1, 100000]")
     # A grasp with this much free space around the gripper loses nothing, m.
-    full_clearance: float = 0.008
+    full_clearance: float = number(0.008, "(0, 1]")
     # The search ends when this many grasps that hold have been found.
-    enough: int = 10
+    enough: int = count(10, "[1, 100000]")
     # The best of them are judged again under this many perturbations; the
     # share that holds multiplies their quality. 0 leaves it out.
-    rehearsals: int = 6
+    rehearsals: int = count(6, "[0, 1000]")
     # How many of them.
-    finalists: int = 4
+    finalists: int = count(4, "[1, 1000]")
     # What a rehearsal perturbs by.
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
     # An excluded grasp excludes those this near, m and rad.
-    same_position: float = 0.005
-    same_angle: float = 0.175
+    same_position: float = number(0.005, "[0, 1]")
+    same_angle: float = number(0.175, "[0, 3.1416]")
     # How execution is judged.
     judgement: JudgementConfig = field(default_factory=JudgementConfig)
 

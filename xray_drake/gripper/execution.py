@@ -5,6 +5,7 @@ from enum import Enum
 
 import numpy as np
 
+from xray_drake.configuration import number
 from xray_drake.gripper.carrier import Carrier, Lag, ReachError
 from xray_drake.gripper.paths import Leg, Path, stay
 from xray_drake.gripper.quasi_static import TOTE_SLOTS
@@ -27,52 +28,52 @@ class ExecutionConfig:
     """How grasps are carried out by contact."""
 
     # The tool's origin goes no faster than this, m/s, m/s².
-    speed: float = 0.8
-    acceleration: float = 4.0
+    speed: float = number(0.8, "(0, 10]")
+    acceleration: float = number(4.0, "(0, 100]")
     # Up with what has been gripped, and down with it, m/s.
-    lift_speed: float = 0.3
+    lift_speed: float = number(0.3, "(0, 10]")
     # Down to the object; and over the last stretch of it, m/s, m/s, m.
-    approach_speed: float = 0.15
-    touch_speed: float = 0.03
-    touch_distance: float = 0.015
+    approach_speed: float = number(0.15, "(0, 10]")
+    touch_speed: float = number(0.03, "(0, 10]")
+    touch_distance: float = number(0.015, "[0, 0.5]")
     # The last straight part of the approach, that planning found free, m.
-    approach_distance: float = 0.10
+    approach_distance: float = number(0.10, "(0, 1]")
     # Height of the flange on the way to the bin, to the tote and back, m; lower
     # where the carrier has no room.
-    transit_height: float = 0.46
+    transit_height: float = number(0.46, "(0, 2]")
     # The jaw opens so much wider than the object, to each side, m.
-    clearance: float = 0.005
+    clearance: float = number(0.005, "[0, 0.1]")
     # Contact is felt where the carrier is pushed back with this force, N.
-    contact_force: float = 3.0
+    contact_force: float = number(3.0, "(0, 1000]")
     # If it is felt, the grasp is tried if this little was left to go, m.
-    max_retreat: float = 0.006
+    max_retreat: float = number(0.006, "[0, 0.1]")
     # The cup is pressed on by as much, unless it seals before, m.
-    cup_overtravel: float = 0.006
+    cup_overtravel: float = number(0.006, "[0, 0.1]")
     # The jaw goes on by as much, unless it touches something before, as the
     # analysis assumes (JudgementConfig.overtravel): thin objects are held lower
     # on the pads, and do not slip out, m.
-    jaw_overtravel: float = 0.002
+    jaw_overtravel: float = number(0.002, "[0, 0.1]")
     # A jaw that is closed to less than this holds nothing, m.
-    empty_width: float = 0.0005
+    empty_width: float = number(0.0005, "[0, 0.1]")
     # Vacuum at which the cup has sealed, and at which it has let go, as a share
     # of the full one.
-    sealed: float = 0.9
-    lost: float = 0.5
+    sealed: float = number(0.9, "(0, 1]")
+    lost: float = number(0.5, "[0, 1)")
     # The jaw must stop, or the cup seal, within this time, s.
-    close_timeout: float = 3.0
-    seal_timeout: float = 0.4
+    close_timeout: float = number(3.0, "(0, 600]")
+    seal_timeout: float = number(0.4, "(0, 600]")
     # The object is released this far over the height that it was gripped at, m.
-    release_height: float = 0.01
+    release_height: float = number(0.01, "[0, 0.5]")
     # Time to look whether the object is held, and to let it go, s.
-    check_time: float = 0.5
-    release_time: float = 0.25
+    check_time: float = number(0.5, "[0, 60]")
+    release_time: float = number(0.25, "[0, 60]")
     # At the end it waits for the cell to be at rest, at least and at most, s.
-    settle_time: float = 0.3
-    settle_timeout: float = 3.0
+    settle_time: float = number(0.3, "[0, 60]")
+    settle_timeout: float = number(3.0, "(0, 600]")
     # The carrier is stuck where it lags so far behind, m.
-    stuck_distance: float = 0.015
+    stuck_distance: float = number(0.015, "(0, 1]")
     # The whole action takes no longer than this, s.
-    give_up: float = 20.0
+    give_up: float = number(20.0, "(0, 3600]")
 
 
 class Phase(Enum):

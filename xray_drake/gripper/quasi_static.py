@@ -18,6 +18,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from xray_drake.configuration import number
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.gripper.motion import Grip, Segment, straight
@@ -60,21 +61,21 @@ class QuasiStaticConfig:
     # Errors between the planned and the executed grasp.
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
     # Highest speed while it carries an object, m/s.
-    speed: float = 0.8
+    speed: float = number(0.8, "(0, 10]")
     # Time of the approach, and of the way back, s.
-    approach_time: float = 0.4
+    approach_time: float = number(0.4, "(0, 60]")
     # The spring between gripper and object: N/m, N·s/m, and the most that it
     # pulls beyond the object's weight, N.
-    stiffness: float = 450.0
-    damping: float = 30.0
-    force: float = 20.0
+    stiffness: float = number(450.0, "(0, 1000000]")
+    damping: float = number(30.0, "[0, 100000]")
+    force: float = number(20.0, "(0, 10000]")
     # The object has slipped when it lags this far behind the gripper, m.
-    slip_distance: float = 0.08
+    slip_distance: float = number(0.08, "(0, 1]")
     # The heap rests when nothing moves farther than this in a round, m, s.
-    rest_motion: float = 0.001
-    rest_round: float = 0.3
+    rest_motion: float = number(0.001, "(0, 0.1]")
+    rest_round: float = number(0.3, "(0, 60]")
     # After this time the search goes on even if something still moves, s.
-    rest_timeout: float = 3.0
+    rest_timeout: float = number(3.0, "[0, 600]")
     # While it waits for rest, wakes also those bodies of the heap that nothing
     # has disturbed: what sleeps under load may then give way a little. It makes
     # up most of a rollout's time.

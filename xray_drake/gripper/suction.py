@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from xray_drake.configuration import number
 from xray_drake.messages import Message
 
 
@@ -13,15 +14,15 @@ class SuctionConfig:
     """What a suction cup is like, beyond what planning knows of it."""
 
     # The vacuum draws the lip to a surface that is this near, m.
-    reach: float = 0.001
+    reach: float = number(0.001, "[0, 0.1]")
     # s. The vacuum approaches its end within this time: an ejector that
     # draws 8 l/min (what Schmalz recommends for cups up to 60 mm) empties the
     # 3 ml of cup and hose two times over.
-    evacuation_time: float = 0.05
+    evacuation_time: float = number(0.05, "(0, 10]")
     # s. Air that enters for so long ends the seal; a shorter jerk does not.
-    leak_time: float = 0.05
+    leak_time: float = number(0.05, "[0, 10]")
     # s. The cup's damping over its stiffness.
-    damping_time: float = 0.01
+    damping_time: float = number(0.01, "[0, 1]")
 
 
 @dataclass(frozen=True, eq=False)

@@ -227,7 +227,11 @@ def _scenario_of(record: Record, path: Path) -> Scenario:
     Before records held it, a benchmark's was in the file beside them.
     """
     if record.get("scenario"):
-        return parse_scenario(record["scenario"], f"the scenario in {path}")
+        return parse_scenario(
+            record["scenario"],
+            f"the scenario in {path}",
+            folder=path.parent,
+        )
     shared = path.parent / SCENARIO
     if path.suffix != ".jsonl" or not shared.is_file():
         raise ValueError(
@@ -236,7 +240,10 @@ def _scenario_of(record: Record, path: Path) -> Scenario:
             f"{record['seed']} … --json FILE'"
         )
     scenario = parse_scenario(
-        shared.read_text(encoding="utf-8"), str(shared), searched=False
+        shared.read_text(encoding="utf-8"),
+        str(shared),
+        searched=False,
+        folder=shared.parent,
     )
     variant = Variant(
         record["policy"],

@@ -1,6 +1,8 @@
 """The numbers of the label."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from xray_drake.configuration import bin_floor, count, number
 
 
 @dataclass
@@ -9,16 +11,14 @@ class LabelConfig:
 
     # Candidates are this many pixels apart, in both directions: a 512×384
     # image has 64×48 of them.
-    step: int = 8
+    step: int = count(8, "[1, 256]")
     # Orientations over the full turn.
-    rotations: int = 16
+    rotations: int = count(16, "[1, 3600]")
     # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = field(
-        default_factory=lambda: [-0.25, 0.25, -0.20, 0.20]
-    )
+    floor: list[float] = bin_floor()
     # How far a candidate may reach beyond the floor, m.
-    floor_tolerance: float = 0.002
+    floor_tolerance: float = number(0.002, "[0, 0.1]")
     # The target is seen where it is nearer than the scene by more than this, m.
-    depth_tolerance: float = 0.0001
+    depth_tolerance: float = number(0.0001, "[0, 0.1]")
     # A candidate of a target that is seen has a greater IoU than this.
-    accept_iou: float = 0.9
+    accept_iou: float = number(0.9, "[0, 1)")

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import cv2
 import numpy as np
 
+from xray_drake.configuration import number
 from xray_drake.geometry.readings import has_reading
 
 
@@ -35,21 +36,21 @@ class DepthNoise:
     """
 
     # Standard deviation at 1 m, m; it grows with the square of the depth.
-    sigma: float = 0.0004
+    sigma: float = number(0.0004, "[0, 0.1]")
     # Step of 1/depth that the sensor resolves, 1/m.
-    inverse_depth_step: float = 1e-4
+    inverse_depth_step: float = number(1e-4, "[0, 1]")
     # Distance of the projector from the camera, along image x, m. What the
     # projector does not reach has no reading.
-    baseline: float = 0.15
+    baseline: float = number(0.15, "[-1, 1]")
     # Surfaces seen at a larger angle from their normal have no reading, rad;
     # an image draws between this and a right angle. Depth edges are such.
-    max_incidence: float = math.radians(78)
+    max_incidence: float = number(math.radians(78), "(0, 1.5708]")
     # Expected number of blobs without a reading (dark or shiny places), and
     # their largest radius in pixels of an image 512 wide.
-    blobs: float = 4.0
-    blob_radius: float = 8.0
+    blobs: float = number(4.0, "[0, 1000]")
+    blob_radius: float = number(8.0, "[0, 1000]")
     # Share of single pixels without a reading.
-    speckle: float = 0.003
+    speckle: float = number(0.003, "[0, 1]")
 
     def __call__(
         self, images: Observation, rng: np.random.Generator

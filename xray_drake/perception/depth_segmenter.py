@@ -7,12 +7,13 @@ Where that is wrong, so is the answer: an object with concave edges of its own
 falls into parts, objects whose tops are flush are one.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy import ndimage
 
+from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading, nearest_values
 from xray_drake.messages import InstanceMasks
@@ -32,28 +33,26 @@ class DepthSegmenterConfig:
     """Numbers of ``segment_depth``."""
 
     # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = field(
-        default_factory=lambda: [-0.25, 0.25, -0.20, 0.20]
-    )
+    floor: list[float] = bin_floor()
     # What is nearer to a wall than this is the wall, m.
-    wall_tolerance: float = 0.004
+    wall_tolerance: float = number(0.004, "[0, 0.1]")
     # What is lower than this is the floor, m. The thinnest target is 5 mm.
-    floor_height: float = 0.0025
+    floor_height: float = number(0.0025, "[0, 0.1]")
     # Pixels without a reading take the nearest one within so many pixels.
-    fill_radius: float = 1.5
+    fill_radius: float = number(1.5, "[0, 100]")
     # Half a chord's length for the concavity, m across the view.
-    arm: float = 0.007
+    arm: float = number(0.007, "(0, 0.1]")
     # A surface less concave than this has no border at all, m.
-    smooth: float = 0.001
+    smooth: float = number(0.001, "[0, 0.1]")
     # Regions are one where the mean concavity of their border is less, m;
     # a pixel counts at most
-    join: float = 0.004
+    join: float = number(0.004, "[0, 0.1]")
     # so many times as much.
-    most: float = 1.5
+    most: float = number(1.5, "(0, 1000]")
     # A region is the inside of another that has this share of its border.
-    enclosed: float = 0.8
+    enclosed: float = number(0.8, "(0, 1]")
     # Smaller instances are none, pixels.
-    min_area: int = 50
+    min_area: int = count(50, "[1, 10000000]")
 
 
 def segment_depth(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from xray_drake.configuration import count, number
 from xray_drake.messages import TargetMask
 
 
@@ -13,15 +14,15 @@ class HsvTargetConfig:
     """Which colours are the target's, and how much of them is enough."""
 
     # Middle of the target's hues, degrees; 0 is red.
-    hue: float = 0.0
+    hue: float = number(0.0, "[-360, 360]")
     # How far a hue may be from it, on either side, degrees.
-    hue_tolerance: float = 15.0
+    hue_tolerance: float = number(15.0, "[0, 180]")
     # Paler than this is not the target: saturation in [0, 1].
-    min_saturation: float = 0.6
+    min_saturation: float = number(0.6, "[0, 1]")
     # Darker than this has no hue to speak of: value in [0, 1].
-    min_value: float = 0.1
+    min_value: float = number(0.1, "[0, 1]")
     # Patches of fewer pixels are specks, not the target.
-    min_area: int = 10
+    min_area: int = count(10, "[1, 10000000]")
 
 
 def detect_target(

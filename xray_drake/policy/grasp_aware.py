@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from xray_drake.configuration import count, number
 from xray_drake.policy.chance import chance
 from xray_drake.policy.ranking import (
     Outlook,
@@ -22,16 +23,16 @@ class GraspAwareConfig:
 
     # Objects seen within this distance of the target, m: so far the gripper
     # reaches from its grasp to any side.
-    reach: float = 0.06
+    reach: float = number(0.06, "[0, 1]")
     # Of these, so many are thought away, the nearest first.
-    candidates: int = 6
+    candidates: int = count(6, "[0, 1000]")
     # Room for a finger beside the target, m.
-    finger: float = 0.02
+    finger: float = number(0.02, "[0, 1]")
     # The target probably is where the distribution is above this.
-    probable: float = 0.5
+    probable: float = number(0.5, "[0, 1]")
     # What a pixel of a finger's room counts; one of the target's place counts
     # as the distribution says.
-    room: float = 0.5
+    room: float = number(0.5, "[0, 100]")
 
 
 class GraspAware:

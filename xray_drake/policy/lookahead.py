@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xray_drake.configuration import count, number
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.policy.chance import USUAL, chance
 from xray_drake.policy.ranking import (
@@ -23,18 +24,18 @@ class LookaheadConfig:
 
     # Objects whose removal is imagined: those with the most of the distribution
     # under them. One without any cannot shrink the support.
-    candidates: int = 6
+    candidates: int = count(6, "[1, 1000]")
     # Objects after whose removal a second is imagined, the most promising
     # first; 0 looks one step ahead.
-    beam: int = 2
+    beam: int = count(2, "[0, 1000]")
     # Second objects tried after each.
-    second: int = 3
+    second: int = count(3, "[0, 1000]")
     # What counts a decrease at the second step: of the supports after each of
     # two steps, the first makes both smaller and the second one.
-    later: float = 0.5
+    later: float = number(0.5, "[0, 1]")
     # A surface lower than this share of the target's thickness shows that the
     # target is not there.
-    low: float = 0.5
+    low: float = number(0.5, "[0, 1]")
 
 
 class Lookahead:

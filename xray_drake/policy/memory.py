@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Message
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
@@ -29,29 +30,27 @@ class MemoryConfig:
     """How a memory holds and lets go."""
 
     # A depth that changes by less has not changed, m.
-    noise: float = 0.002
+    noise: float = number(0.002, "[0, 0.1]")
     # What changed in fewer pixels has not moved.
-    least_pixels: int = 8
+    least_pixels: int = count(8, "[0, 1000000]")
     # A thing that moves may drag the target over this share of its way. At 1
     # nothing is remembered but where nothing has moved: what a thing that
     # slides or topples covers is never farther from where it was than its way.
     # But it does not drag a flat target by friction, since the floor holds that
     # at least as well; it must hook or push it.
-    share: float = 0.25
+    share: float = number(0.25, "[0, 1]")
     # A thing that is lifted may drag it this far though nothing else moves, m.
-    drag: float = 0.01
+    drag: float = number(0.01, "[0, 1]")
     # Around what was not seen empty, so much is not taken for empty, m.
-    margin: float = 0.003
+    margin: float = number(0.003, "[0, 0.1]")
     # Where a surface lower than this share of the target's thickness is seen,
     # the target is not.
-    low: float = 0.5
+    low: float = number(0.5, "[0, 1]")
     # Instances have the same names at every look; else they are known by their
     # places.
     names_last: bool = True
     # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = field(
-        default_factory=lambda: [-0.25, 0.25, -0.20, 0.20]
-    )
+    floor: list[float] = bin_floor()
 
 
 @dataclass(frozen=True, eq=False)

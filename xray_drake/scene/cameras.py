@@ -18,13 +18,18 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraConfig, RgbdSensor
 
+from xray_drake.configuration import number
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y
 
 _PIXEL_CENTER = 0.5
 """In the images that RenderEngineVtk draws, pixel i spans [i, i + 1] of the
 config's coordinates: its centre is at i + 0.5. (Measured on Drake 1.51.1 and
 1.58.0: masks lie half a pixel up and left of what the config's principal point
 says of pixels with centres at integers.)"""
+
+_LOOKS = 48
+"""Rows and columns of pixels that are asked for what they see."""
 
 
 def pinhole_camera(config: CameraConfig) -> PinholeCamera:
@@ -66,18 +71,18 @@ class CameraSampling:
     # Draw them at all; otherwise the nominal camera is used.
     enabled: bool = False
     # Distance from the middle of the floor, m.
-    least_radius: float = 0.7
-    most_radius: float = 0.9
+    least_radius: float = number(0.7, "(0, 10]")
+    most_radius: float = number(0.9, "(0, 10]")
     # Angle from the vertical, degrees.
-    most_angle: float = 10.0
+    most_angle: float = number(10.0, "[0, 80]")
     # Turn about the viewing axis, degrees to either side.
-    roll: float = 10.0
+    roll: float = number(10.0, "[0, 180]")
     # Focal length of both axes, pixels.
-    least_focal: float = 535.0
-    most_focal: float = 560.0
+    least_focal: float = number(535.0, "(0, 100000]")
+    most_focal: float = number(560.0, "(0, 100000]")
     # Shift of the principal point from the nominal one in u and v, pixels to
     # either side.
-    center_shift: float = 3.0
+    center_shift: float = number(3.0, "[0, 10000]")
 
 
 def sample_camera(
@@ -113,9 +118,58 @@ def sample_camera(
     p_WC = -radius * R_WC.col(2)
     config.X_PB = Transform(RigidTransform(R_WC, p_WC))
     config.focal = CameraConfig.FocalLength(x=focal, y=focal)
-    config.center_x = nominal.center_x + shift[0]
-    config.center_y = nominal.center_y + shift[1]
+    center = nominal.principal_point()
+    config.center_x = center[0] + shift[0]
+    config.center_y = center[1] + shift[1]
     return config
+
+
+def check_view(config: CameraConfig) -> None:
+    """Checks that a camera sees the bin's floor, within the sensor's range.
+
+    Raises:
+        ValueError: it does not, or its depth images are of another place than
+            its colour images.
+        RuntimeError: its pose is not one pose, or its lens is none.
+    """
+    X_BC, X_BD = (
+        RigidTransform(X.GetDeterministicValue())
+        for X in (config.X_BC, config.X_BD)
+    )
+    if not X_BC.IsNearlyEqualTo(X_BD, 1e-12):
+        raise ValueError(
+            "X_BD is not X_BC: depth and colour are taken to be one camera's"
+        )
+    camera = pinhole_camera(config)
+    rows, columns = (
+        np.linspace(0, side - 1, min(side, _LOOKS)) for side in camera.shape
+    )
+    u, v = np.meshgrid(columns, rows)
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ camera.pixel_to_ray.T
+    C = camera.X_WC[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = -C[2] / rays[..., 2]
+        x, y = (C[i] + depth * rays[..., i] for i in (0, 1))
+        floor = (
+            (depth > 0)
+            & (x > BIN_FLOOR_X[0])
+            & (x < BIN_FLOOR_X[1])
+            & (y > BIN_FLOOR_Y[0])
+            & (y < BIN_FLOOR_Y[1])
+        )
+    if C[2] <= 0 or not floor.any():
+        raise ValueError(
+            "X_PB: the camera does not look at the bin's floor (z = 0). It "
+            "looks along its z axis: straight down is "
+            "rotation: !Rpy {deg: [180, 0, 0]}"
+        )
+    seen = depth[floor]
+    if seen.min() > config.z_far or seen.max() < config.z_near:
+        raise ValueError(
+            f"the bin's floor is {seen.min():.3g} to {seen.max():.3g} m away, "
+            f"out of the sensor's range: z_near is {config.z_near}, z_far is "
+            f"{config.z_far}"
+        )
 
 
 def check_renderer(config: CameraConfig) -> None:

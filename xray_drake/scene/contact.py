@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xray_drake.configuration import number
 from xray_drake.geometry.convex import half_thickness
 from xray_drake.scene.object_model import ObjectModel
 
@@ -22,13 +23,13 @@ class ContactConfig:
     # 5 mm target hops for ever. So E is chosen per piece as this times H. At
     # 2e7 objects sink 1.4 mm into each other on average; the stiffer, the more
     # light ones hop.
-    pressure_gradient: float = 5e7
+    pressure_gradient: float = number(5e7, "(0, 1e12]")
     # s/m, Hunt-Crossley. At 3 most heaps rest sooner, but light flat things hop
     # (a time step of 5 ms is long for them) and carry others along.
-    dissipation: float = 30.0
+    dissipation: float = number(30.0, "(0, 1000]")
     # s. A free rotation decays over this time. It stands in for the rolling
     # resistance that rigid round bodies lack.
-    tumble_time: float = 0.05
+    tumble_time: float = number(0.05, "(0, 10]")
 
 
 def hydroelastic_modulus(vertices: np.ndarray, config: ContactConfig) -> float:

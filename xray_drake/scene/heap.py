@@ -14,6 +14,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from scipy.stats import truncnorm
 
 from xray_drake.choices import TALL_TARGETS
+from xray_drake.configuration import choice, count, number
 from xray_drake.geometry.resting import RestingPose, lean, resting_poses
 from xray_drake.geometry.tilt import tilt
 from xray_drake.scene.contact import ContactConfig, angular_damping
@@ -63,48 +64,48 @@ class HeapConfig:
     """How a heap is dropped (PROTOCOL.md, "Scene")."""
 
     # "one_by_one", or "dump": all but the target fall together from a tray.
-    arrangement: str = "one_by_one"
+    arrangement: str = choice("one_by_one", ARRANGEMENTS)
     # The heap's centre is uniform within ± this in x and y, m.
-    center_range: float = 0.03
+    center_range: float = number(0.03, "[0, 1]")
     # Standard deviation of the objects' offsets from the centre, m.
-    offset_sigma: float = 0.045
+    offset_sigma: float = number(0.045, "[0, 1]")
     # The offsets are truncated here, m.
-    offset_limit: float = 0.12
+    offset_limit: float = number(0.12, "(0, 1]")
     # The target falls from this height, flat or as it is to lie, m.
-    target_height: float = 0.05
+    target_height: float = number(0.05, "[0, 2]")
     # The others fall from this height over the floor ...
-    drop_height: float = 0.20
+    drop_height: float = number(0.20, "(0, 2]")
     # ... or this much above the heap, whichever is higher, m.
-    heap_clearance: float = 0.05
+    heap_clearance: float = number(0.05, "[0, 2]")
     # One object is released every so many seconds.
-    drop_period: float = 0.14
+    drop_period: float = number(0.14, "(0, 10]")
     # "dump": size of the tray in x and y, m, ...
-    tray_length: float = 0.30
-    tray_width: float = 0.24
+    tray_length: float = number(0.30, "(0, 2]")
+    tray_width: float = number(0.24, "(0, 2]")
     # ... and its height over the floor, m.
-    tray_height: float = 0.25
+    tray_height: float = number(0.25, "(0, 2]")
     # What rests sleeps while the others fall.
     sleep: bool = False
     # At rest: no body moves more than rest_motion (m) in rest_round (s).
-    rest_round: float = 0.3
-    rest_motion: float = 0.0005
+    rest_round: float = number(0.3, "(0, 60]")
+    rest_motion: float = number(0.0005, "(0, 0.1]")
     # One that has been waited for for late_after (s) may move late_motion (m):
     # one creeping object shall not cost the heap.
-    late_after: float = 1.2
-    late_motion: float = 0.001
+    late_after: float = number(1.2, "[0, 600]")
+    late_motion: float = number(0.001, "(0, 0.1]")
     # A heap that does not rest is calmed every so many seconds: for calm_time,
     # s, its bodies' rotation is damped calm_factor times as strongly.
-    calm_period: float = 1.2
-    calm_time: float = 0.3
-    calm_factor: float = 20.0
+    calm_period: float = number(1.2, "(0, 600]")
+    calm_time: float = number(0.3, "[0, 60]")
+    calm_factor: float = number(20.0, "[1, 10000]")
     # A heap that does not rest within this time after the last drop failed, s.
-    rest_timeout: float = 8.0
+    rest_timeout: float = number(8.0, "(0, 600]")
     # A picture taken while the heap grows waits for the heap to move less than
     # snapshot_motion (m) in 0.1 s, but no longer than snapshot_timeout (s).
-    snapshot_motion: float = 0.002
-    snapshot_timeout: float = 0.5
+    snapshot_motion: float = number(0.002, "(0, 0.1]")
+    snapshot_timeout: float = number(0.5, "[0, 60]")
     # A failed heap is drawn again this often before giving up.
-    max_attempts: int = 10
+    max_attempts: int = count(10, "[1, 1000]")
 
 
 class HeapError(RuntimeError):

@@ -12,6 +12,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 from scipy.spatial.transform import Rotation
 
+from xray_drake.configuration import number
 from xray_drake.scene.plant import PlantObject
 from xray_drake.scene.rest import box_corners
 from xray_drake.scene.sleep import Sleeper
@@ -38,23 +39,23 @@ class SleepConfig:
     """When bodies fall asleep and what wakes them."""
 
     # s between two looks at the bodies.
-    look_period: float = 0.025
+    look_period: float = number(0.025, "(0, 10]")
     # A body falls asleep when no point of it has moved farther than
     # quiet_motion (m) for quiet_time (s): 3 mm/s is still.
-    quiet_motion: float = 0.0005
-    quiet_time: float = 0.15
+    quiet_motion: float = number(0.0005, "(0, 0.1]")
+    quiet_time: float = number(0.15, "(0, 60]")
     # A body that is faster than this wakes what it is about to touch and what
     # that touches, m/s. Slower ones lean on sleepers as on the bin.
-    impact_speed: float = 0.3
+    impact_speed: float = number(0.3, "[0, 100]")
     # A body that has moved this far since it last did wakes the neighbours
     # that it had, since they may have lost their support, and those that it
     # has now, m.
-    drift: float = 0.003
+    drift: float = number(0.003, "(0, 1]")
     # Neighbours are bodies whose pieces, within 26 planes each, are nearer than
     # this, m.
-    margin: float = 0.001
+    margin: float = number(0.001, "[0, 0.1]")
     # What a mover is about to come nearer to than this stays awake, m.
-    reach: float = 0.004
+    reach: float = number(0.004, "[0, 0.1]")
 
 
 class _Look(NamedTuple):

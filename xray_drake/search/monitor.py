@@ -23,7 +23,7 @@ from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.station.provenance import scenario_provenance
-from xray_drake.station.scenario import dump_scenario
+from xray_drake.station.scenario import record_scenario
 from xray_drake.station.start import target_view
 
 
@@ -118,7 +118,7 @@ class SearchMonitor:
             dtype=""
             if scenario.perception.occupancy in WITHOUT_NETWORK
             else scenario.perception.dtype,
-            scenario=dump_scenario(scenario),
+            scenario=record_scenario(scenario),
             provenance=scenario_provenance(scenario),
         )
 

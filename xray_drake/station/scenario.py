@@ -1,16 +1,15 @@
 """The scenario: one YAML file says all that a search depends on."""
 
-import dataclasses
-import difflib
-import operator
-import re
-import typing
+import copyreg
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
-import yaml
 from pydrake.common.schema import Rotation, Transform
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_load_typed
 from pydrake.geometry import Rgba
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
@@ -31,6 +30,23 @@ from xray_drake.choices import (
     TARGET_NAMES,
     WITHOUT_NETWORK,
 )
+from xray_drake.configuration import (
+    SEEDS,
+    ConfigurationError,
+    check,
+    check_tree,
+    choice,
+    count,
+    differences,
+    number,
+    path_field,
+    path_list,
+    read_text,
+    read_tree,
+    tree_of,
+    with_paths,
+    write_tree,
+)
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
@@ -38,7 +54,6 @@ from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
-from xray_drake.occupancy.exact_config import POSES
 from xray_drake.occupancy.learned import default_weights
 from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
@@ -49,15 +64,18 @@ from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import (
     CameraSampling,
     check_renderer,
-    pinhole_camera,
+    check_view,
 )
 from xray_drake.scene.contact import ContactConfig
-from xray_drake.scene.heap import ARRANGEMENTS, HeapConfig
+from xray_drake.scene.heap import HeapConfig
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.splits import SPLITS
+from xray_drake.station.drake_rules import DRAKE_RULES
 
 MOST_OBJECTS = 100
 """Distractors that a scenario may ask for."""
+
+_OBJECTS = f"[1, {MOST_OBJECTS}]"
 
 
 class ScenarioError(ValueError):
@@ -69,10 +87,10 @@ class RandomNumber:
     """How many distractors: Poisson, truncated (paper section IV.A)."""
 
     # Mean before truncation; at 0 the number is not random.
-    mean: float = 0.0
+    mean: float = number(0.0, f"[0, {MOST_OBJECTS}]")
     # Least and most.
-    least: int = 10
-    most: int = 15
+    least: int = count(10, _OBJECTS)
+    most: int = count(15, _OBJECTS)
 
 
 @dataclass(slots=True)
@@ -81,24 +99,24 @@ class SceneConfig:
 
     # Name of the target: one of TARGET_NAMES or TALL_TARGETS in
     # xray_drake.choices.
-    target: str = "box_2to1"
+    target: str = choice("box_2to1", (*TARGET_NAMES, *TALL_TARGETS))
     # How many distractors are dropped on it.
-    num_objects: int = 14
+    num_objects: int = count(14, _OBJECTS)
     # Or their number is drawn anew for each heap.
     random_number: RandomNumber = field(default_factory=RandomNumber)
     # Which of the procedural distractors: "train", "validation" or "test".
-    split: str = "train"
+    split: str = choice("train", SPLITS)
     # Those that come on a backing card as well are drawn from, too.
     packaged: bool = False
     # Share of packaged objects among those drawn; at 0 as many as there are.
-    packaged_share: float = 0.0
+    packaged_share: float = number(0.0, "[0, 1]")
     # Folders of meshes that replace the procedural distractors.
-    meshes: list[str] = field(default_factory=list)
+    meshes: list[str] = path_list()
     # Factor from the meshes' unit to metres.
-    mesh_scale: float = 1.0
+    mesh_scale: float = number(1.0, "(0, 1000000]")
     # A heap whose target starts more visible than this is drawn again; at 1
     # all heaps count.
-    most_visible: float = 1.0
+    most_visible: float = number(1.0, "[0, 1]")
     # How they are dropped.
     heap: HeapConfig = field(default_factory=HeapConfig)
     # Their material.
@@ -110,22 +128,22 @@ class PerceptionConfig:
     """Which perception systems look at the images."""
 
     # Finds the target's modal mask: "ground_truth", or "hsv" by its colour.
-    detector: str = "ground_truth"
+    detector: str = choice("ground_truth", DETECTORS)
     # Finds the modal masks of all objects: "ground_truth", or "depth" by the
     # shape of what is seen.
-    segmenter: str = "ground_truth"
+    segmenter: str = choice("ground_truth", SEGMENTERS)
     # The depth image is as a real sensor gives it.
     noise: bool = False
     # Infers the occupancy distribution: "learned" by a network; "posterior",
     # by a network too, but as probable as heaps have taught it; "exact", by all
     # poses that explain the image; or "expected", by a guess of the label.
-    occupancy: str = "learned"
+    occupancy: str = choice("learned", OCCUPANCIES)
     # File of a network's weights, or a folder of networks of one box each; by
     # default the one that travels with the package.
-    weights: str = ""
+    weights: str = path_field()
     # What the network computes in: "float32", or "bfloat16", which is faster
     # where the processor has instructions for it, but not the same search.
-    dtype: str = DTYPES[0]
+    dtype: str = choice(DTYPES[0], DTYPES)
     # Settings of "exact" and "expected".
     exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
     # Settings of "hsv".
@@ -143,14 +161,14 @@ class PolicyConfig:
     """Which object is grasped next."""
 
     # One of POLICIES; see ``xray_drake.policy.policies``.
-    name: str = "xray"
+    name: str = choice("xray", POLICIES)
     # Grasp the target as soon as a grasp on it exists.
     target_first: bool = True
     # Objects with fewer visible pixels are not candidates.
-    min_visible_pixels: int = 50
+    min_visible_pixels: int = count(50, "[0, 100000000]")
     # A weaker grasp counts only where no candidate that hides anything has one
     # as good as this.
-    min_grasp_quality: float = 0.2
+    min_grasp_quality: float = number(0.2, "[0, 1]")
 
 
 @dataclass(slots=True)
@@ -159,13 +177,13 @@ class GripperConfig:
 
     # How grasps are planned: "models", from the objects' models and poses, or
     # "depth", from the depth image alone.
-    grasps: str = "models"
+    grasps: str = choice("models", GRASPS)
     # How grasps are executed: "quasi_static", where an ideal gripper lifts what
     # the analysis says would hold; or "contact", with fingers and suction cup.
-    execution: str = "quasi_static"
+    execution: str = choice("quasi_static", EXECUTIONS)
     # What carries the gripper of "contact": "wrist", three slides and three
     # turns; or "arm", seven turning joints that do not reach everywhere.
-    carrier: str = "wrist"
+    carrier: str = choice("wrist", CARRIERS)
     # What the gripper can do.
     parameters: GripperParameters = field(default_factory=GripperParameters)
     # How "models" searches for grasps.
@@ -210,16 +228,16 @@ def nominal_camera() -> CameraConfig:
     )
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Scenario:
     """All that a search depends on; the same scenario gives the same search."""
 
     # Name, for the record.
     name: str = "demo"
     # Of the heap, the Random policy and the execution's perturbations.
-    seed: int = 0
+    seed: int = count(0, SEEDS)
     # Actions at most (the paper's H).
-    horizon: int = 10
+    horizon: int = count(10, "[1, 10000]")
     scene: SceneConfig = field(default_factory=SceneConfig)
     # The overhead camera.
     camera: CameraConfig = field(default_factory=nominal_camera)
@@ -241,6 +259,34 @@ class Scenario:
             publish_period=1 / 32, publish_proximity=False
         )
     )
+
+    def __eq__(self, other: object) -> bool:
+        """Compares all values: Drake's structs have no equality."""
+        if not isinstance(other, Scenario):
+            return NotImplemented
+        return tree_of(self) == tree_of(other)
+
+
+def _restored(schema: type, text: str) -> Any:
+    return yaml_load_typed(schema=schema, data=text)
+
+
+def _reduced(config: Any) -> tuple[Any, tuple[type, str]]:
+    return _restored, (type(config), yaml_dump(tree_of(config)))
+
+
+for _struct in (
+    CameraConfig,
+    CameraConfig.FocalLength,
+    CameraConfig.FovDegrees,
+    MultibodyPlantConfig,
+    Rotation,
+    SimulatorConfig,
+    Transform,
+    VisualizationConfig,
+):
+    # Drake's structs cannot be pickled; a scenario goes to other processes.
+    copyreg.pickle(_struct, _reduced)
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -270,15 +316,19 @@ def load_scenario(
                 f"no scenario {str(name_or_path)!r}: choose one of "
                 f"{', '.join(scenario_names())}, or give a YAML file"
             )
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"cannot read scenario {path}: {error}") from error
-    return parse_scenario(text, str(path), searched=searched)
+    with _scenario_errors():
+        text = read_text(path)
+    return parse_scenario(
+        text, str(path), searched=searched, folder=path.parent
+    )
 
 
 def parse_scenario(
-    text: str, source: str, *, searched: bool = True
+    text: str,
+    source: str,
+    *,
+    searched: bool = True,
+    folder: Path | None = None,
 ) -> Scenario:
     """Reads a scenario from YAML text; see :func:`load_scenario`.
 
@@ -286,32 +336,24 @@ def parse_scenario(
         text: YAML.
         source: where it came from, for messages.
         searched: see :func:`check_scenario`.
+        folder: what the paths in it are relative to; by default the current
+            one, and they are left as they are.
 
     Raises:
         ScenarioError: as :func:`load_scenario`.
     """
-    try:
-        tree = yaml.load(text, Loader=_StrictLoader)
-    except yaml.YAMLError as error:
-        where = " ".join(str(error).split())
-        raise ScenarioError(f"{source} is not YAML: {where}") from error
-    if tree is None:
-        tree = {}
-    if not isinstance(tree, dict):
-        raise ScenarioError(
-            f"{source} is not a scenario: its top level must be keys and "
-            f"values, not {type(tree).__name__}"
-        )
-    _check_keys(tree, Scenario, source, "")
+    with _scenario_errors():
+        tree = read_tree(text, source)
+        check_tree(tree, Scenario, source, DRAKE_RULES)
     try:
         scenario = yaml_load_typed(
-            schema=Scenario,
-            data=text if tree else "{}",
-            defaults=Scenario(),
+            schema=Scenario, data=yaml_dump(tree), defaults=Scenario()
         )
     except Exception as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: {message}") from error
+    if folder is not None:
+        scenario = with_paths(scenario, folder)
     check_scenario(scenario, source, searched=searched)
     return scenario
 
@@ -322,17 +364,20 @@ def dump_scenario(scenario: Scenario) -> str:
     Defaults are left out, since Drake's own configs gain and lose fields from
     version to version.
     """
-    defaults = Scenario()
-    rotation = scenario.camera.X_PB.rotation
-    nominal = defaults.camera.X_PB.rotation
-    if yaml_dump_typed(rotation) != yaml_dump_typed(nominal):
-        # Beside a default with the same tag, the writer drops the tag.
-        defaults.camera.X_PB.rotation = Rotation(
-            value=Rotation.AngleAxis()
-            if not isinstance(rotation.value, Rotation.AngleAxis)
-            else Rotation.Identity()
-        )
-    return yaml_dump_typed(scenario, schema=Scenario, defaults=defaults)
+    return write_tree(differences(tree_of(scenario), tree_of(Scenario())))
+
+
+def record_scenario(scenario: Scenario) -> str:
+    """Returns a scenario as records hold it: its paths hold in any folder."""
+    return dump_scenario(with_paths(scenario, Path()))
+
+
+@contextmanager
+def _scenario_errors() -> Iterator[None]:
+    try:
+        yield
+    except ConfigurationError as error:
+        raise ScenarioError(str(error)) from error
 
 
 def check_scenario(
@@ -350,74 +395,13 @@ def check_scenario(
     Raises:
         ScenarioError: a choice that does not exist or a number out of range.
     """
-    for key, value, choices in (
-        (
-            "scene.target",
-            scenario.scene.target,
-            (*TARGET_NAMES, *TALL_TARGETS),
-        ),
-        ("scene.split", scenario.scene.split, SPLITS),
-        (
-            "scene.heap.arrangement",
-            scenario.scene.heap.arrangement,
-            ARRANGEMENTS,
-        ),
-        ("perception.detector", scenario.perception.detector, DETECTORS),
-        ("perception.segmenter", scenario.perception.segmenter, SEGMENTERS),
-        ("perception.occupancy", scenario.perception.occupancy, OCCUPANCIES),
-        ("perception.dtype", scenario.perception.dtype, DTYPES),
-        ("perception.exact.poses", scenario.perception.exact.poses, POSES),
-        ("policy.name", scenario.policy.name, POLICIES),
-        ("gripper.grasps", scenario.gripper.grasps, GRASPS),
-        ("gripper.execution", scenario.gripper.execution, EXECUTIONS),
-        ("gripper.carrier", scenario.gripper.carrier, CARRIERS),
-    ):
-        if value not in choices:
+    with _scenario_errors():
+        check(scenario, source, DRAKE_RULES)
+    for low, high in _IN_ORDER:
+        least, most = (attrgetter(path)(scenario) for path in (low, high))
+        if least > most:
             raise ScenarioError(
-                f"{source}: {key} is {value!r}: choose one of "
-                f"{', '.join(choices)}"
-            )
-    for key, number, most in (
-        ("scene.num_objects", scenario.scene.num_objects, MOST_OBJECTS),
-        (
-            "scene.random_number.least",
-            scenario.scene.random_number.least,
-            scenario.scene.random_number.most,
-        ),
-        (
-            "scene.random_number.most",
-            scenario.scene.random_number.most,
-            MOST_OBJECTS,
-        ),
-        ("horizon", scenario.horizon, None),
-    ):
-        if number < 1:
-            raise ScenarioError(
-                f"{source}: {key} is {number}: it must be at least 1"
-            )
-        if most is not None and number > most:
-            raise ScenarioError(
-                f"{source}: {key} is {number}: it must be at most {most}"
-            )
-    for path in _MUST_BE_POSITIVE:
-        value = operator.attrgetter(path)(scenario)
-        if not value > 0:
-            raise ScenarioError(
-                f"{source}: {path} is {value}: it must be above 0"
-            )
-    if not 0 <= scenario.scene.random_number.mean <= MOST_OBJECTS:
-        raise ScenarioError(
-            f"{source}: scene.random_number.mean is "
-            f"{scenario.scene.random_number.mean}: it must be from 0 to "
-            f"{MOST_OBJECTS}"
-        )
-    for key, share in (
-        ("scene.packaged_share", scenario.scene.packaged_share),
-        ("scene.most_visible", scenario.scene.most_visible),
-    ):
-        if not 0 <= share <= 1:
-            raise ScenarioError(
-                f"{source}: {key} is {share}: it must be from 0 to 1"
+                f"{source}: {low} is {least}: it must be at most {most}, {high}"
             )
     if scenario.scene.packaged_share > 0 and not scenario.scene.packaged:
         raise ScenarioError(
@@ -449,89 +433,26 @@ def check_scenario(
         # First: Drake's own message does not say what to choose.
         _check_contact(scenario, source)
     _check_plant(scenario.plant_config, source)
-    if scenario.seed < 0:
-        raise ScenarioError(
-            f"{source}: seed is {scenario.seed}: it must not be negative"
+
+
+_IN_ORDER = (
+    ("scene.random_number.least", "scene.random_number.most"),
+    ("camera_sampling.least_radius", "camera_sampling.most_radius"),
+    ("camera_sampling.least_focal", "camera_sampling.most_focal"),
+    ("camera.clipping_near", "camera.z_near"),
+    ("camera.z_near", "camera.z_far"),
+    ("camera.z_far", "camera.clipping_far"),
+    ("gripper.contact.lost", "gripper.contact.sealed"),
+    *(
+        (f"{path}.friction_min", f"{path}.friction")
+        for path in (
+            "gripper.planner.perturbation",
+            "gripper.depth_planner.perturbation",
+            "gripper.quasi_static.perturbation",
         )
-
-
-_MUST_BE_POSITIVE = (
-    "camera.width",
-    "camera.height",
-    "scene.mesh_scale",
-    "scene.contact.pressure_gradient",
-    "scene.contact.dissipation",
-    "scene.contact.tumble_time",
-    "scene.heap.drop_period",
-    "scene.heap.tray_length",
-    "scene.heap.tray_width",
-    "camera_sampling.least_radius",
-    "camera_sampling.least_focal",
-    "scene.heap.max_attempts",
-    "scene.heap.rest_round",
-    "perception.depth_segmenter.arm",
-    "gripper.quasi_static.approach_time",
-    "gripper.quasi_static.speed",
-    "gripper.contact.speed",
-    "gripper.contact.acceleration",
-    "gripper.contact.lift_speed",
-    "gripper.contact.approach_speed",
-    "gripper.contact.touch_speed",
-    "gripper.contact.give_up",
-    "gripper.suction.evacuation_time",
-    "plant_config.time_step",
-    "gripper.parameters.opening",
-    "visualization.publish_period",
+    ),
 )
-
-_SCALARS: dict[type, tuple[type, ...]] = {
-    int: (int,),
-    float: (int, float),
-    bool: (bool,),
-    str: (str,),
-}
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """Rejects duplicate keys, which YAML readers accept silently."""
-
-    # YAML 1.2's numbers: to PyYAML, 1e-3 is a string.
-    yaml_implicit_resolvers: typing.ClassVar = {
-        **yaml.SafeLoader.yaml_implicit_resolvers,
-        **{
-            first: [
-                *yaml.SafeLoader.yaml_implicit_resolvers.get(first, []),
-                (
-                    "tag:yaml.org,2002:float",
-                    re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
-                ),
-            ]
-            for first in "-+.0123456789"
-        },
-    }
-
-    def construct_mapping(
-        self, node: yaml.MappingNode, deep: bool = False
-    ) -> dict:
-        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} stands twice", node.start_mark
-                )
-        return super().construct_mapping(node, deep=deep)
-
-
-def _construct_tagged(loader: _StrictLoader, tag: str, node: yaml.Node) -> dict:
-    """Reads ``!Rpy {…}`` as what stands in the braces: tags are Drake's."""
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(
-            None, None, f"!{tag} must tag keys and values", node.start_mark
-        )
-    return loader.construct_mapping(node, deep=True)
-
-
-_StrictLoader.add_multi_constructor("!", _construct_tagged)
+"""Numbers of which the first is at most the second."""
 
 
 def _check_weights(
@@ -564,7 +485,7 @@ def _check_camera(config: CameraConfig, source: str) -> None:
         raise ScenarioError(f"{source}: camera.name is empty")
     try:
         check_renderer(config)
-        pinhole_camera(config)
+        check_view(config)
     except (RuntimeError, ValueError) as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: camera: {message}") from error
@@ -598,44 +519,3 @@ def _check_contact(scenario: Scenario, source: str) -> None:
                 f"{source}: gripper.execution is contact, but plant_config."
                 f"{key} is {value!r}: choose one of {', '.join(wanted)}"
             )
-
-
-def _check_keys(tree: dict, schema: type, source: str, prefix: str) -> None:
-    """Names an unknown key with its path; Drake's reader names it alone."""
-    fields = _fields(schema)
-    for key, value in tree.items():
-        path = f"{prefix}{key}"
-        if key not in fields:
-            near = difflib.get_close_matches(str(key), fields, 1)
-            hint = f"; did you mean {prefix}{near[0]}?" if near else ""
-            raise ScenarioError(f"{source}: unknown key {path}{hint}")
-        kind = fields[key]
-        if dataclasses.is_dataclass(kind) or hasattr(kind, "__fields__"):
-            if not isinstance(value, dict):
-                raise ScenarioError(
-                    f"{source}: {path} is {value!r}: it must be keys and values"
-                )
-            _check_keys(value, kind, source, f"{path}.")
-        elif typing.get_origin(kind) is list:
-            if not isinstance(value, list):
-                raise ScenarioError(
-                    f"{source}: {path} is {value!r}: it must be a list"
-                )
-        elif kind in _SCALARS:
-            wrong = isinstance(value, bool) and kind is not bool
-            if wrong or not isinstance(value, _SCALARS[kind]):
-                raise ScenarioError(
-                    f"{source}: {path} is {value!r}: it must be of type "
-                    f"{kind.__name__}"
-                )
-
-
-def _fields(schema: type) -> dict[str, typing.Any]:
-    """Returns the fields of a dataclass or of one of Drake's configs.
-
-    The types of the latter are not all known to Python: None stands for them.
-    """
-    if dataclasses.is_dataclass(schema):
-        hints = typing.get_type_hints(schema)
-        return {f.name: hints[f.name] for f in dataclasses.fields(schema)}
-    return {f.name: None for f in schema.__fields__}  # type: ignore[attr-defined]

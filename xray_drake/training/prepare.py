@@ -21,6 +21,7 @@ from zipfile import BadZipFile
 import cv2
 import numpy as np
 
+from xray_drake.configuration import SEEDS, choice, count, number, number_list
 from xray_drake.dataset.augmentation import DepthNoise, resize_mask
 from xray_drake.dataset.images import labelled_images
 from xray_drake.dataset.manifest import DatasetError, read_manifest
@@ -51,32 +52,32 @@ class PrepareConfig:
     """How samples become items."""
 
     # Virtual targets placed into each image.
-    virtual: int = 2
+    virtual: int = count(2, "[0, 1000]")
     # Virtual targets are boxes of this length, width and thickness, m; of any
     # kind and size if empty.
-    virtual_size: list[float] = field(default_factory=list)
+    virtual_size: list[float] = number_list((), "(0, 1]", (0, 3))
     # Share of virtual targets for which a place is sought where nothing of
     # them is seen. (A network for windows has no use for those.)
-    virtual_hidden: float = HIDDEN
+    virtual_hidden: float = number(HIDDEN, "[0, 1]")
     # What is learned: "given", the dataset's labels, or "expected", what can be
     # known of them from the image (``training.teacher``). Items that are held
     # out keep those of the dataset.
-    labels: str = "given"
+    labels: str = choice("given", LABELS)
     # Share of items with the noise of a depth sensor.
-    noisy: float = 0.3
+    noisy: float = number(0.3, "[0, 1]")
     # Share of items whose camera is not quite where inference is told.
-    miscalibrated: float = 0.3
+    miscalibrated: float = number(0.3, "[0, 1]")
     # Standard deviations of the camera's height, m, ...
-    height_error: float = 0.0015
+    height_error: float = number(0.0015, "[0, 0.5]")
     # ... of its tilt about both axes, rad, ...
-    tilt_error: float = 0.002
+    tilt_error: float = number(0.002, "[0, 1]")
     # ... and of its focal length, relative.
-    focal_error: float = 0.005
+    focal_error: float = number(0.005, "[0, 0.5]")
     # Share of masks that are a pixel too large or too small.
-    mask_errors: float = 0.1
+    mask_errors: float = number(0.1, "[0, 1]")
     # The sensor.
     noise: DepthNoise = field(default_factory=DepthNoise)
-    seed: int = 0
+    seed: int = count(0, SEEDS)
 
 
 @dataclass(frozen=True, eq=False)
