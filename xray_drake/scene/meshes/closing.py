@@ -417,13 +417,14 @@ def _swallowed(bodies: list[manifold3d.Manifold]) -> float:
     volume = 0.0
     boxes = np.array([body.bounding_box() for body in bodies])
     for index, body in enumerate(bodies):
-        around = (boxes[:, :3] <= boxes[index, :3]).all(axis=1)
-        around &= (boxes[:, 3:] >= boxes[index, 3:]).all(axis=1)
-        around[index] = False
         own = body.volume()
+        around = np.flatnonzero(
+            np.all(boxes[:, :3] <= boxes[index, :3], axis=1)
+            & np.all(boxes[:, 3:] >= boxes[index, 3:], axis=1)
+        )
         if any(
             (body - bodies[other]).volume() < (1 - _SWALLOWED) * own
-            for other in np.flatnonzero(around)
+            for other in around
             if bodies[other].volume() > own
         ):
             volume += own
