@@ -193,6 +193,16 @@ def test_the_same_code_goes_on(result: Path) -> None:
     assert len(read_runs(result)) == 1
 
 
+def test_other_settings_do_not_go_on(result: Path) -> None:
+    record_run(result, Run("measure", HERE, settings={"load": (1, 2)}))
+    check_resumable(result, HERE, settings={"load": (1, 2), "new": 3})
+    for mix in (False, True):
+        with pytest.raises(
+            ManifestError, match=r"begun with load \[1, 2\], not \[1\]"
+        ):
+            check_resumable(result, HERE, settings={"load": [1]}, mix=mix)
+
+
 def test_results_without_a_manifest_are_of_unknown_code(result: Path) -> None:
     with pytest.raises(ManifestError, match="not known"):
         check_resumable(result, HERE)

@@ -11,7 +11,8 @@ import os
 import platform
 import subprocess
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import date
 from functools import cache
@@ -20,7 +21,12 @@ from pathlib import Path
 from typing import Any
 
 from xray_drake import __version__
-from xray_drake.files import write_whole_file
+from xray_drake.files import (
+    append_json_lines,
+    read_json_lines,
+    sole_writer,
+    write_whole_file,
+)
 from xray_drake.resources import models_dir
 
 MANIFEST = "manifest.json"
@@ -219,6 +225,7 @@ def check_resumable(
     result: Path,
     now: Provenance,
     *,
+    settings: Mapping[str, Any] | None = None,
     made_by: Iterable[Provenance] = (),
     mix: bool = False,
 ) -> None:
@@ -227,22 +234,38 @@ def check_resumable(
     Args:
         result: folder or file that holds some.
         now: what would go on.
+        settings: of its run, those that must be as they were.
         made_by: what the results say themselves.
-        mix: let all in.
+        mix: let other code, versions, weights and number types in.
 
     Raises:
         ManifestError: they were made by other code, versions, weights or
-            another number type, or it is not known by what; or the manifest
-            is damaged.
+            another number type, or it is not known by what, or with other
+            settings; or the manifest is damaged.
     """
-    before = [Provenance.from_dict(run) for run in read_runs(result)]
+    runs = read_runs(result)
+    for run in runs:
+        _check_settings(result, run.get("settings", {}), settings or {})
     if mix:
         return
+    before = [Provenance.from_dict(run) for run in runs]
     for then in [*before, *made_by] or [Provenance()]:
         if found := then.differences(now):
             raise ManifestError(
                 f"{result} holds results of {'; '.join(found)}: choose "
                 "another place, or give --mix to go on all the same"
+            )
+
+
+def _check_settings(
+    result: Path, before: Mapping[str, Any], now: Mapping[str, Any]
+) -> None:
+    # As JSON gives it back.
+    for key, value in json.loads(json.dumps(now)).items():
+        if before.get(key, value) != value:
+            raise ManifestError(
+                f"{result} was begun with {key} {before[key]!r}, not {value!r}"
+                ": go on with the same, or choose another place"
             )
 
 
@@ -270,8 +293,52 @@ def record_run(result: Path, run: Run, *, resumed: bool = False) -> None:
     write_whole_file(manifest_path(result), text.encode())
 
 
+@contextmanager
+def open_lines(
+    path: Path, run: Run, *, mix: bool = False
+) -> Iterator[tuple[list[dict[str, Any]], Callable[[dict[str, Any]], None]]]:
+    """Opens a file of results, a JSON object a line, to go on with it.
+
+    Yields:
+        What it holds, and a function that adds a line.
+
+    Args:
+        path: of the file; its folder is there.
+        run: with settings that must be as they were.
+        mix: see :func:`check_resumable`.
+
+    Raises:
+        InUseError: another process writes it.
+        LinesError: a line cannot be read.
+        ManifestError: see :func:`check_resumable`.
+        OSError: it cannot be read or written.
+    """
+    with sole_writer(path):
+        lines = read_json_lines(path)
+        if lines:
+            check_resumable(
+                path, run.provenance, settings=run.settings, mix=mix
+            )
+        record_run(path, run, resumed=bool(lines))
+        with append_json_lines(path) as add:
+            yield lines, add
+
+
+def made_by(result: Path) -> str:
+    """Says in a line what made results, as their manifest has it.
+
+    Raises:
+        ManifestError: it is damaged.
+    """
+    runs = read_runs(result)
+    return describe(
+        map(Provenance.from_dict, runs or [{}]),
+        seeds=(seed for run in runs for seed in run.get("seeds", ())),
+    )
+
+
 def describe(
-    made_by: Iterable[Provenance],
+    provenances: Iterable[Provenance],
     *,
     scenario: str = "",
     seeds: Iterable[int] = (),
@@ -279,11 +346,11 @@ def describe(
     """Says in a line what made results; "Mixed" where they do not agree.
 
     Args:
-        made_by: of each result.
+        provenances: of each result.
         scenario: its name.
         seeds: of the results.
     """
-    every = list(made_by)
+    every = list(provenances)
     sources = _distinct(p._source() for p in every)
     packages = _distinct(
         ", ".join(f"{name} {text}" for name, text in p.versions.items())

@@ -16,9 +16,8 @@ takes only grasps that hold and executes each with the object as heavy as these
 multiples of what the analysis says the contacts hold.
 """
 
-import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,6 +32,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from xray_drake.cli.options import Mix
 from xray_drake.grasping.candidates import (
     GraspCandidates,
     jaw_candidates,
@@ -47,6 +47,7 @@ from xray_drake.messages import (
     GripperStatus,
     SearchAction,
 )
+from xray_drake.provenance import Run, current, made_by, open_lines
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.meshes.importer import import_meshes
@@ -473,12 +474,39 @@ def main(
         typer.Option(help="Weights over what the grasp holds; repeatable."),
     ] = None,
     carrier: Annotated[str, typer.Option(help="wrist or arm.")] = "wrist",
+    mix: Mix = False,
 ) -> None:
     """Executes grasps that the analysis accepts and rejects, by contact."""
+    settings = {
+        "meshes": str(meshes) if meshes else None,
+        "seed": seed,
+        "number": number,
+        "load": load,
+        "carrier": carrier,
+    }
+    run = Run(
+        "contact_grasps",
+        current(scripts=[Path(__file__)]),
+        seeds=[seed],
+        settings=settings,
+    )
+    with open_lines(out, run, mix=mix) as (lines, add):
+        measure(lines, add, meshes, seed, number, most, load, carrier)
+    Console(width=200).print(made_by(out), soft_wrap=True, highlight=False)
+
+
+def measure(
+    lines: list[dict[str, Any]],
+    add: Callable[[dict[str, Any]], None],
+    meshes: Path | None,
+    seed: int,
+    number: int,
+    most: int,
+    load: list[float] | None,
+    carrier: str,
+) -> None:
+    """Executes what is missing of the lines, and prints the tables."""
     console = Console(width=200)
-    lines: list[dict[str, Any]] = []
-    if out.exists():
-        lines = [json.loads(text) for text in out.read_text().splitlines()]
     done = {(line["name"], line["rest"]) for line in lines}
     added = 0
     for kind, name in shapes(seed, meshes):
@@ -498,8 +526,7 @@ def main(
                 "rest": rest,
                 "trials": [asdict(trial) for trial in trials],
             }
-            with out.open("a") as file:
-                file.write(json.dumps(line) + "\n")
+            add(line)
             lines.append(line)
             added += 1
             console.print(

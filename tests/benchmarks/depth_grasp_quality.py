@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -29,6 +30,7 @@ from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.messages import Grasp, GraspKind
 from xray_drake.perception.depth_noise import DepthNoise
+from xray_drake.provenance import current, describe
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.object_model import ObjectModel
@@ -272,6 +274,12 @@ def main(
         )
         told = ", ".join(f"{why} {n}" for why, n in causes.most_common(8))
         console.print(f"failures, {source}: {told}", highlight=False)
+    line = describe(
+        [current(scripts=[Path(__file__)])],
+        scenario=scenario,
+        seeds=range(first_seed, first_seed + max(heaps, 1)),
+    )
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ bodies sleep with those whose bodies do not, with Kolmogorov and Smirnov's test.
 """
 
 import gc
-import json
 import multiprocessing
 import os
 import time
@@ -23,6 +22,9 @@ import typer
 from rich.console import Console
 from rich.progress import track
 from scipy.stats import ks_2samp
+
+from xray_drake.cli.options import Mix
+from xray_drake.provenance import Run, current, made_by, open_lines
 
 FIRST_SEED = 40_000
 OBJECTS = 12
@@ -233,37 +235,38 @@ def main(
     heaps: Annotated[int, typer.Option(min=1)] = 24,
     settings: Annotated[str, typer.Option()] = ",".join(SETTINGS),
     workers: Annotated[int, typer.Option(min=1)] = os.cpu_count() or 1,
+    mix: Mix = False,
 ) -> None:
     """Compares physics settings by the speed and the quality of heaps."""
     os.environ["OMP_NUM_THREADS"] = "1"
     out.mkdir(parents=True, exist_ok=True)
     path = out / "heaps.jsonl"
-    lines = path.read_text().splitlines() if path.is_file() else []
-    records = [json.loads(line) for line in lines]
-    done = {(r["setting"], r["seed"]) for r in records}
     names = settings.split(",")
-    jobs = [
-        (name, seed)
-        for seed in range(FIRST_SEED, FIRST_SEED + heaps)
-        for name in names
-        if (name, seed) not in done
-    ]
+    seeds = range(FIRST_SEED, FIRST_SEED + heaps)
+    run = Run("heap_settings", current(scripts=[Path(__file__)]), seeds=seeds)
     context = multiprocessing.get_context("spawn")
-    with path.open("a") as file:
+    with open_lines(path, run, mix=mix) as (records, add):
+        done = {(r["setting"], r["seed"]) for r in records}
+        jobs = [
+            (name, seed)
+            for seed in seeds
+            for name in names
+            if (name, seed) not in done
+        ]
         for start in track(range(0, len(jobs), BATCH), "batches"):
             with ProcessPoolExecutor(workers, mp_context=context) as pool:
                 batch = jobs[start : start + BATCH]
                 futures = [pool.submit(drop, *job) for job in batch]
                 for future in as_completed(futures):
                     records.append(future.result())
-                    file.write(json.dumps(records[-1]) + "\n")
-                    file.flush()
+                    add(records[-1])
     console = Console(width=200)
     for row in table(records):
         console.print(row, highlight=False, soft_wrap=True)
     if "default" in names and "sleep" in names:
         for row in comparison(records, "default", "sleep"):
             console.print(row, highlight=False, soft_wrap=True)
+    console.print(made_by(path), highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

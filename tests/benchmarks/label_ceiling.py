@@ -33,6 +33,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from xray_drake.dataset.manifest import read_manifest
 from xray_drake.dataset.reader import OccupancyDataset
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import VirtualTarget, make_target, target_depth
@@ -41,6 +42,7 @@ from xray_drake.occupancy.expected_label import ExpectedLabel
 from xray_drake.occupancy.label import LabelConfig, occupancy_label
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.metrics import TOLERANCE, PixelCounts, pixel_counts
+from xray_drake.provenance import current, describe
 from xray_drake.scene.targets import target_model
 from xray_drake.seeding import stream
 
@@ -190,7 +192,15 @@ def main(
                 for c in total[row].values()
             ),
         )
-    Console(width=100).print(table)
+    console = Console(width=100)
+    console.print(table)
+    now = current(
+        weights=[weights] if weights else [],
+        dtype="float32" if weights else "",
+        scripts=[Path(__file__)],
+    )
+    line = describe([now], seeds=[read_manifest(dataset).seed])
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

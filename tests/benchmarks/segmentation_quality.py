@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from xray_drake.dataset.manifest import read_manifest
 from xray_drake.dataset.reader import OccupancyDataset
 from xray_drake.dataset.sample import Sample
 from xray_drake.drawing.sample_figure import depth_picture, instance_picture
@@ -28,6 +29,7 @@ from xray_drake.perception.segmentation_metrics import (
     SegmentationScore,
     score_segmentation,
 )
+from xray_drake.provenance import Run, current, describe, record_run
 from xray_drake.seeding import stream
 
 
@@ -113,7 +115,23 @@ def main(
                 f"{score.under_segmentation:.3f}",
                 f"{1e3 * seconds / len(indices):.0f}",
             )
-    Console(width=120).print(table)
+    console = Console(width=120)
+    console.print(table)
+    manifest, now = read_manifest(dataset), current(scripts=[Path(__file__)])
+    if pictures is not None:
+        settings = {"dataset": str(dataset), "images": list(indices)}
+        record_run(
+            pictures,
+            Run(
+                "segmentation_quality",
+                now,
+                manifest.scenario,
+                [manifest.seed],
+                settings,
+            ),
+        )
+    line = describe([now], seeds=[manifest.seed])
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

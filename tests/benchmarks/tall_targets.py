@@ -12,7 +12,6 @@ for each heap, and its images, are kept in FOLDER; what is there is not dropped
 again. ``--pictures 3`` draws that many of each target.
 """
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,9 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
+
+from xray_drake.cli.options import Mix
+from xray_drake.provenance import Run, current, made_by, open_lines
 
 FIRST_SEED = 50_000
 HELD = 0.95
@@ -190,31 +192,36 @@ def main(
     heaps: Annotated[int, typer.Option(help="of each target")] = 15,
     objects: Annotated[int, typer.Option(help="in a heap")] = 6,
     pictures: Annotated[int, typer.Option(help="drawn of each target")] = 0,
+    mix: Mix = False,
 ) -> None:
     """Drops what is missing and prints the table."""
     from xray_drake.choices import TALL_TARGETS
 
     out.mkdir(parents=True, exist_ok=True)
-    results = out / "results.jsonl"
-    lines = []
-    if results.is_file():
-        lines = [json.loads(line) for line in results.open()]
-    done = {(line["target"], line["seed"]) for line in lines}
-    for seed in range(FIRST_SEED, FIRST_SEED + heaps):
-        for target in TALL_TARGETS:
-            file = out / f"{target}_{seed}.npz"
-            if not file.is_file():
-                photograph(target, seed, objects, file)
-            images = dict(np.load(file))
-            if (target, seed) not in done:
-                line = {"target": target, "seed": seed}
-                line |= compare(target, images)
-                lines.append(line)
-                with results.open("a") as log:
-                    log.write(json.dumps(line) + "\n")
-            if seed < FIRST_SEED + pictures:
-                draw(target, images, out / f"{target}_{seed}.png")
+    seeds = range(FIRST_SEED, FIRST_SEED + heaps)
+    run = Run(
+        "tall_targets",
+        current(scripts=[Path(__file__)]),
+        seeds=seeds,
+        settings={"objects": objects},
+    )
+    with open_lines(out / "results.jsonl", run, mix=mix) as (lines, add):
+        done = {(line["target"], line["seed"]) for line in lines}
+        for seed in seeds:
+            for target in TALL_TARGETS:
+                file = out / f"{target}_{seed}.npz"
+                if not file.is_file():
+                    photograph(target, seed, objects, file)
+                images = dict(np.load(file))
+                if (target, seed) not in done:
+                    line = {"target": target, "seed": seed}
+                    line |= compare(target, images)
+                    lines.append(line)
+                    add(line)
+                if seed < FIRST_SEED + pictures:
+                    draw(target, images, out / f"{target}_{seed}.png")
     _print(lines)
+    Console().print(made_by(out / "results.jsonl"), soft_wrap=True)
 
 
 def _print(lines: list[dict[str, Any]]) -> None:

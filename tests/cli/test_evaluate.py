@@ -1,4 +1,5 @@
 import json
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,13 @@ from typer.testing import CliRunner
 
 from tests.dataset.whole import bare_sample, write_dataset
 from xray_drake.cli.evaluate import app
-from xray_drake.dataset.manifest import Manifest
+from xray_drake.dataset.manifest import Manifest, read_manifest
 from xray_drake.dataset.sample import Sample
+from xray_drake.dataset.shards import ShardReader, read_shard, write_shard
+from xray_drake.files import sole_writer
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
+from xray_drake.provenance import Provenance, describe, read_runs
 
 COUNT = 4
 TARGETS = ("box_2to1", "lid")
@@ -104,6 +108,78 @@ def networks(monkeypatch: pytest.MonkeyPatch) -> _Networks:
     module = _Networks()
     monkeypatch.setitem(sys.modules, module.__name__, module)
     return module
+
+
+def test_a_manifest_lies_beside_the_results(
+    folder: Path, networks: _Networks, tmp_path: Path
+) -> None:
+    weights = tmp_path / "modal.safetensors"
+    weights.write_bytes(b"weights")
+    out = tmp_path / "out"
+    out.mkdir()
+    options = ("--weights", weights, "--no-exact", "--seed", 4)
+    result = _run(folder, *options, "--json", out / "a.json")
+    assert result.exit_code == 0
+    assert sorted(p.name for p in out.iterdir()) == [
+        *("a.json", "a.json.manifest.json")
+    ]
+    (run,) = read_runs(out / "a.json")
+    assert run["command"] == "evaluate"
+    assert (run["seeds"], run["dtype"]) == ([4], "float32")
+    assert run["weights"].keys() == {"modal.safetensors"}
+    assert run["scenario"] == "name: tiny\n"
+    assert run["settings"]["fingerprint"] == read_manifest(folder).fingerprint()
+    made_by = Provenance.from_dict(run)
+    told = json.loads((out / "a.json").read_text())
+    assert Provenance.from_dict(told["provenance"]) == made_by
+    assert describe([made_by], seeds=[4]) in result.stdout
+
+
+def test_what_goes_to_a_pipe_has_no_manifest(
+    folder: Path, tmp_path: Path
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        result = _run(folder, "--images", 1, "--json", pipe)
+        assert result.exit_code == 0
+        assert os.read(reader, 10).startswith(b"{")
+    finally:
+        os.close(reader)
+    assert not list(tmp_path.glob("*pipe*json"))
+
+
+def test_two_evaluations_do_not_write_to_one_file(
+    folder: Path, networks: _Networks, tmp_path: Path
+) -> None:
+    with sole_writer(tmp_path / "a.json"):
+        result = _run(folder, "--json", tmp_path / "a.json")
+    assert result.exit_code == 2
+    assert "is being written by another process" in result.stderr
+    assert not (tmp_path / "a.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"dataset": "0123"}, "another dataset"),
+        ({"format_version": 2}, "has format version 2"),
+        ({"index": 0}, "renamed"),
+    ],
+)
+def test_a_shard_that_does_not_belong_is_refused(
+    folder: Path, change: dict[str, Any], line: str
+) -> None:
+    path = folder / "train-00001.h5"
+    with ShardReader(path) as shard:
+        attributes = replace(shard.attributes, **change)
+    write_shard(path, read_shard(path), attributes)
+    result = _run(folder, "--incomplete")
+    assert (result.exit_code, result.stdout) == (2, "")
+    (said,) = result.stderr.splitlines()
+    assert f"{path} " in said
+    assert line in said
 
 
 def test_a_network_with_and_without_scaling(

@@ -17,8 +17,12 @@ from xray_drake.cli.train import train as train_command
 from xray_drake.dataset.manifest import (
     DatasetError,
     Manifest,
+    read_manifest,
+    write_manifest,
 )
 from xray_drake.dataset.reader import is_held_out
+from xray_drake.dataset.shards import ForeignShardError
+from xray_drake.files import InUseError, sole_writer
 from xray_drake.occupancy.learned import load_inference
 from xray_drake.occupancy.networks.weights import (
     NetworkCard,
@@ -26,6 +30,7 @@ from xray_drake.occupancy.networks.weights import (
     load_weights,
     read_card,
 )
+from xray_drake.provenance import MANIFEST, ManifestError, read_runs
 from xray_drake.training import module
 from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.module import CompactTraining
@@ -340,6 +345,86 @@ def test_another_run_in_the_same_folder_is_refused(
     assert (out / WEIGHTS).read_bytes() == before
 
 
+def test_a_manifest_lies_beside_the_weights(
+    whole: tuple[Path, NetworkCard], dataset: Path
+) -> None:
+    out, card = whole
+    (told,) = read_runs(out)
+    assert told["command"] == "train"
+    assert (told["dtype"], told["seeds"]) == ("32-true", [0])
+    assert told["scenario"] == "name: tiny\n"
+    assert told["settings"]["batch_size"] == 4
+    assert card.training["provenance"]["code"] == told["code"]
+    assert card.training["made by"].startswith("Made by code")
+    assert told["code"] in (out / CARD).read_text()
+    (data,) = card.data["datasets"]
+    assert data["fingerprint"] == read_manifest(dataset).fingerprint()
+    assert "unknown" in data["made by"]
+
+
+def test_a_run_has_one_writer(
+    run: _Run, whole: tuple[Path, NetworkCard], tmp_path: Path
+) -> None:
+    for folder, resume in ((tmp_path, False), (whole[0], True)):
+        with sole_writer(folder), pytest.raises(InUseError):
+            run(folder, resume=resume)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"seed": 3}, "begun with seed 0, not 3"),
+        ({"learning_rate": 1.0}, "begun with learning_rate 0.002, not 1.0"),
+        ({"precision": "bf16-true"}, "32-true, now bf16-true.*--mix"),
+    ],
+)
+def test_a_run_goes_on_as_it_was_begun(
+    run: _Run,
+    whole: tuple[Path, NetworkCard],
+    change: dict[str, Any],
+    words: str,
+) -> None:
+    before = (whole[0] / WEIGHTS).read_bytes()
+    with pytest.raises(ValueError, match=words):
+        run(whole[0], resume=True, **change)
+    assert (whole[0] / WEIGHTS).read_bytes() == before
+    assert len(read_runs(whole[0])) == 1
+
+
+def test_a_run_of_other_code_is_mixed_on_demand_alone(
+    run: _Run, dataset: Path, cache: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    run(out, passes=1.0)
+    path = out / MANIFEST
+    path.write_text(path.read_text().replace('"code": "', '"code": "f'))
+    with pytest.raises(ManifestError, match=r"holds results of code f"):
+        run(out, passes=1.0, resume=True)
+    options = RunOptions(
+        out=out,
+        resume=True,
+        mix=True,
+        cache=cache,
+        accelerator="cpu",
+        progress=False,
+    )
+    card = train([dataset], dataclasses.replace(CONFIG, passes=1.0), options)
+    assert card.training["made by"].startswith("**Mixed**")
+
+
+def test_a_shard_of_another_dataset_is_not_trained_on(
+    run: _Run, dataset: Path, tmp_path: Path
+) -> None:
+    own = _write(tmp_path / "own", list(range(1, HEAPS + 1)))
+    manifest = dataclasses.replace(read_manifest(own), seed=6)
+    write_manifest(own, manifest)
+    options = RunOptions(out=tmp_path / "run", progress=False)
+    for change in ({}, {"targets": ["box_2to1"], "virtual": False}):
+        with pytest.raises(ForeignShardError, match="another dataset"):
+            train([own], dataclasses.replace(CONFIG, **change), options)
+
+
 def test_there_must_be_something_to_resume(run: _Run, tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="there is nothing to resume"):
         run(tmp_path / "run", resume=True)
@@ -393,7 +478,8 @@ def test_weights_are_trained_further(
     for name in learned:
         torch.testing.assert_close(after[name], before[name])
     # What is resumed needs them no more.
-    run(tmp_path / "run", weights="gone", passes=2, resume=True)
+    change = {"weights": "gone", "learning_rate": 1e-12, "passes": 2}
+    run(tmp_path / "run", resume=True, **change)
 
 
 def test_weights_of_another_network_are_refused(
@@ -568,7 +654,7 @@ def test_a_damaged_checkpoint_is_one_line(
     (out / CHECKPOINT).write_bytes(b"rubbish")
     line, code = _line(
         *(dataset, "--out", out, "--config", config_file, "--resume"),
-        *("--cache", cache, "--accelerator", "cpu"),
+        *("--cache", cache, "--accelerator", "cpu", "--mix"),
     )
     assert CHECKPOINT in line
     assert code in (1, 2)

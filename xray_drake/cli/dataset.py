@@ -18,7 +18,7 @@ from rich.table import Table
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.exits import FAILED
 from xray_drake.cli.options import AsJson, Dataset, Workers
-from xray_drake.provenance import Provenance, describe, read_runs
+from xray_drake.provenance import made_by
 
 if TYPE_CHECKING:
     from xray_drake.dataset.check import CheckReport
@@ -60,11 +60,7 @@ def info(dataset: Dataset, json: AsJson = False, workers: Workers = 1) -> None:
         if json:
             _print_json(report)
         else:
-            _print_info(report, describe(_made_by(dataset) or [Provenance()]))
-
-
-def _made_by(folder: Path) -> list[Provenance]:
-    return [Provenance.from_dict(run) for run in read_runs(folder)]
+            _print_info(report, made_by(dataset))
 
 
 def _check(folder: Path, *, deep: bool, workers: int) -> "CheckReport":
@@ -112,7 +108,7 @@ def _print_verdict(report: "CheckReport") -> None:
         typer.echo(f"{number} defect{'s' * (number > 1)}: {count}")
 
 
-def _print_info(report: "CheckReport", made_by: str) -> None:
+def _print_info(report: "CheckReport", manifest_line: str) -> None:
     manifest = report.manifest
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
@@ -130,7 +126,7 @@ def _print_info(report: "CheckReport", made_by: str) -> None:
         table.add_row(
             "made by", f"xray-drake {package}, Drake {drake} ({shards} shards)"
         )
-    table.add_row("manifest", made_by)
+    table.add_row("manifest", manifest_line)
     size = f"{report.num_bytes / 1e6:.1f} MB"
     if report.num_found:
         size += f", {report.num_bytes / report.num_found / 1e3:.1f} kB a sample"

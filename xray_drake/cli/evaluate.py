@@ -4,6 +4,7 @@ import errno
 import json as json_format
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,10 +20,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from xray_drake import __version__
 from xray_drake.choices import DTYPES, WITHOUT_NETWORK
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.options import Dataset, Dtype, OfSplit, OfTargets
+from xray_drake.dataset.manifest import read_manifest
+from xray_drake.files import sole_writer, write_whole_file
+from xray_drake.provenance import Run, current, describe, record_run
 
 if TYPE_CHECKING:
     from xray_drake.dataset.sample import Sample
@@ -136,7 +139,6 @@ def occupancy(
 
         from xray_drake.dataset.augmentation import DepthNoise
         from xray_drake.dataset.reader import OccupancyDataset
-        from xray_drake.files import write_whole_file
         from xray_drake.training.disturbance import Disturbance
         from xray_drake.training.evaluation import evaluate, markdown_table
 
@@ -149,57 +151,94 @@ def occupancy(
         data = OccupancyDataset(
             dataset, split=split, targets=target or None, incomplete=incomplete
         )
+        made_by = current(
+            weights=weights or [], dtype=(dtype or DTYPES[0]) if weights else ""
+        )
+        settings = {
+            "dataset": str(dataset),
+            "split": split,
+            "targets": target or None,
+            "weights": [str(path) for path in weights or []],
+            "noise": noise,
+            "height_offset": height_offset,
+            "focal_error": focal_error,
+            "seed": seed,
+        }
+        manifest = read_manifest(dataset)
+        run = Run(
+            "evaluate",
+            made_by,
+            manifest.scenario,
+            [seed],
+            {**settings, "fingerprint": manifest.fingerprint()},
+        )
         chosen = _draw(len(data), images, seed)
 
         def sample(index: int) -> "Sample":
             return disturb(data.sample(index))
 
-        results = evaluate(
-            _with_progress(chosen, sample), predictors, seed=seed
-        )
-        typer.echo(markdown_table(results))
-        if json is not None:
-            report = {
-                "version": __version__,
-                "dataset": str(dataset),
-                "split": split,
-                "targets": target or None,
-                "weights": [str(path) for path in weights or []],
-                "dtype": dtype or DTYPES[0],
-                "noise": noise,
-                "height_offset": height_offset,
-                "focal_error": focal_error,
-                "seed": seed,
-                "predictors": {
-                    name: result.to_dict() for name, result in results.items()
-                },
-            }
-            text = json_format.dumps(report, indent=1, allow_nan=False)
-            write_whole_file(json, f"{text}\n".encode())
-            typer.echo(f"wrote {json}")
-        if figure is not None:
-            from xray_drake.drawing.predictions import choose_examples
-
-            ious = {
-                name: [record.counts.iou for record in result.records]
-                for name, result in results.items()
-            }
-            first = next(iter(ious.values()))
-            drawn = choose_examples(first, examples, worst=worst)
-            if not drawn:
-                raise ValueError("no image has an IoU to find the worst by")
-            _write_figure(
-                [
-                    _example(
-                        sample(chosen[i]),
-                        predictors,
-                        {name: values[i] for name, values in ious.items()},
-                    )
-                    for i in drawn
-                ],
-                figure,
+        with ExitStack() as stack:
+            # A pipe takes no manifest.
+            files = [
+                path
+                for path in (json, figure)
+                if path is not None and (path.is_file() or not path.exists())
+            ]
+            for path in files:
+                stack.enter_context(sole_writer(path))
+            results = evaluate(
+                _with_progress(chosen, sample), predictors, seed=seed
             )
-            typer.echo(f"wrote {figure}")
+            typer.echo(markdown_table(results))
+            typer.echo(f"\n{describe([made_by], seeds=[seed])}")
+            if json is not None:
+                report = {
+                    **settings,
+                    "provenance": made_by.to_dict(),
+                    "predictors": {
+                        name: result.to_dict()
+                        for name, result in results.items()
+                    },
+                }
+                text = json_format.dumps(report, indent=1, allow_nan=False)
+                write_whole_file(json, f"{text}\n".encode())
+                typer.echo(f"wrote {json}")
+            if figure is not None:
+                ious = {
+                    name: [record.counts.iou for record in result.records]
+                    for name, result in results.items()
+                }
+                drawn = _choose(ious, examples, worst=worst)
+                _write_figure(
+                    [
+                        _example(
+                            sample(chosen[i]),
+                            predictors,
+                            {name: values[i] for name, values in ious.items()},
+                        )
+                        for i in drawn
+                    ],
+                    figure,
+                )
+                typer.echo(f"wrote {figure}")
+            for path in files:
+                record_run(path, run)
+
+
+def _choose(
+    ious: Mapping[str, Sequence[float]], examples: int, *, worst: bool
+) -> Sequence[int]:
+    """Returns which images the figure shows.
+
+    Raises:
+        ValueError: there is none.
+    """
+    from xray_drake.drawing.predictions import choose_examples
+
+    drawn = choose_examples(next(iter(ious.values())), examples, worst=worst)
+    if not drawn:
+        raise ValueError("no image has an IoU to find the worst by")
+    return drawn
 
 
 def _check_outputs(json: Path | None, figure: Path | None) -> None:

@@ -31,12 +31,10 @@ from xray_drake.dataset.generator import ShardReport, plan_dataset
 from xray_drake.dataset.manifest import MANIFEST_NAME, Manifest, check_same
 from xray_drake.files import append_json_lines, sole_writer
 from xray_drake.provenance import (
-    Provenance,
     Run,
     check_resumable,
     current,
-    describe,
-    read_runs,
+    made_by,
     record_run,
 )
 from xray_drake.splits import SPLITS
@@ -168,12 +166,7 @@ def _generate(
                 reports.append(report)
                 log(report.to_dict())
     _summarize(out, manifest, reports, time.monotonic() - start, console)
-    made_by = map(Provenance.from_dict, read_runs(out))
-    console.print(
-        describe(made_by, seeds=[manifest.seed]),
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.print(made_by(out), highlight=False, soft_wrap=True)
 
 
 def _plan(options: GenerateOptions) -> Manifest:

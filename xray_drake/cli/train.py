@@ -9,7 +9,7 @@ from rich.progress import MofNCompleteColumn, Progress
 
 from xray_drake.cli.errors import complain, errors_as_lines
 from xray_drake.cli.exits import INTERRUPTED
-from xray_drake.cli.options import CORES
+from xray_drake.cli.options import CORES, Mix
 
 
 def train(
@@ -24,6 +24,7 @@ def train(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the last checkpoint.")
     ] = False,
+    mix: Mix = False,
     cache: Annotated[
         Path | None,
         typer.Option(help="Folder of prepared items. By default in OUT."),
@@ -72,6 +73,7 @@ def train(
         options = RunOptions(
             out=out,
             resume=resume,
+            mix=mix,
             cache=cache,
             workers=workers,
             accelerator=accelerator,
@@ -106,4 +108,5 @@ def train(
         for where, figures in card.figures.items():
             text = ", ".join(f"{k} {v}" for k, v in figures.items())
             console.print(f"{where}: {text}", highlight=False, soft_wrap=True)
+        console.print(card.training["made by"], highlight=False, soft_wrap=True)
         console.print(f"{out / WEIGHTS} and {out / CARD}", highlight=False)

@@ -1,8 +1,6 @@
 """The card of a network that was trained."""
 
-import platform
 from collections.abc import Sequence
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import torch
 
 from xray_drake.dataset.manifest import read_manifest
 from xray_drake.occupancy.networks.weights import NetworkCard, read_card
+from xray_drake.provenance import Provenance, current, made_by
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import TrainingData
 from xray_drake.training.module import OccupancyTraining
@@ -24,6 +23,7 @@ def make_card(
     trainer: lightning.Trainer,
     *,
     box_size: tuple[float, float, float] | None,
+    out: Path,
 ) -> NetworkCard:
     """Says what was trained on what, and how good it became.
 
@@ -35,6 +35,7 @@ def make_card(
         trainer: that did it.
         box_size: length, width, thickness of the one box that the network
             knows, m; None if it is told the target's size.
+        out: folder of the run, with its manifest.
     """
     manifests = [read_manifest(dataset) for dataset in datasets]
     targets = sorted({name for m in manifests for name in m.targets})
@@ -58,9 +59,11 @@ def make_card(
                     "seed": manifest.seed,
                     "images when complete": manifest.num_samples,
                     "views per heap": manifest.views_per_heap,
+                    "fingerprint": manifest.fingerprint(),
                     "drake": manifest.drake_version,
+                    "made by": made_by(dataset),
                 }
-                for manifest in manifests
+                for dataset, manifest in zip(datasets, manifests, strict=True)
             ],
             "images used": data.num_images,
             "items to train on": data.num_train,
@@ -70,12 +73,19 @@ def make_card(
             **module.facts(),
             **_beginning(config),
             "optimizer steps": trainer.global_step,
-            "date": date.today().isoformat(),
-            "machine": platform.machine(),
             "threads": torch.get_num_threads(),
-            "torch": torch.__version__,
+            "made by": made_by(out),
+            "provenance": provenance(config).to_dict(),
         },
         figures={f"held-out heaps, {module.resolution}": metrics},
+    )
+
+
+def provenance(config: TrainConfig) -> Provenance:
+    """Returns the provenance of a run of training, of this process."""
+    given = (config.weights, config.backbone)
+    return current(
+        weights=[Path(path) for path in given if path], dtype=config.precision
     )
 
 
@@ -93,6 +103,6 @@ def _beginning(config: TrainConfig) -> dict[str, Any]:
             "seed": card.training.get("seed"),
             "passes": card.training.get("passes"),
             "optimizer steps": card.training.get("optimizer steps"),
-            "date": card.training.get("date"),
+            "date": card.training.get("provenance", card.training).get("date"),
         }
     }

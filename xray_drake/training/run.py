@@ -2,7 +2,8 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 
@@ -11,15 +12,18 @@ import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from lightning.pytorch.loggers import CSVLogger
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from torch import nn
 
-from xray_drake.files import write_whole_file
+from xray_drake.dataset.manifest import read_manifest
+from xray_drake.files import sole_writer, write_whole_file
 from xray_drake.occupancy.networks.build import build_network
 from xray_drake.occupancy.networks.weights import NetworkCard, save_weights
 from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.provenance import Run, check_resumable, record_run
 from xray_drake.training.beginning import begin_with, load_backbone
 from xray_drake.training.box import box_size
-from xray_drake.training.card import make_card
+from xray_drake.training.card import make_card, provenance
 from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.data import PreparedData, TrainingData
 from xray_drake.training.module import CompactTraining, OccupancyTraining
@@ -36,6 +40,10 @@ _LOG_EVERY = 50
 _FEWEST_LOGGED = 100
 """A short run logs more often, so that its loss makes a curve."""
 
+_FREE = {"name", "passes", "weights", "backbone", "precision"}
+"""Keys of a configuration that may change when a run is resumed: the number
+type is the manifest's."""
+
 CHECKPOINT = "last.ckpt"
 WEIGHTS = "weights.safetensors"
 CARD = "card.md"
@@ -48,6 +56,8 @@ class RunOptions:
     Attributes:
         out: folder of the run.
         resume: go on from the checkpoint in it.
+        mix: even if other code, versions, weights or another number type made
+            it.
         cache: folder of prepared items; by default in ``out``.
         workers: processes that prepare; or that read, where nothing is
             prepared.
@@ -59,6 +69,7 @@ class RunOptions:
 
     out: Path
     resume: bool = False
+    mix: bool = False
     cache: Path | None = None
     workers: int = 1
     accelerator: str = "auto"
@@ -89,9 +100,28 @@ def train(
     Raises:
         DatasetError, TrainingError, WeightsError: what was given cannot be
             trained on, or what to begin with is of another network.
+        ManifestError: a run is to be resumed that other code has begun.
+        InUseError: another process trains in the folder.
         OSError: something cannot be written.
     """
-    _open_run(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    # Lightning starts a process for each further device.
+    alone = sole_writer(options.out) if _is_first() else nullcontext()
+    with alone:
+        _open_run(datasets, config, options)
+        return _train(datasets, config, options, prepared)
+
+
+def _is_first() -> bool:
+    return not getattr(rank_zero_only, "rank", 0)
+
+
+def _train(
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    options: RunOptions,
+    prepared: Progress,
+) -> NetworkCard:
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     size = box_size(datasets, config)
     net = build_network(config.architecture, config.options)
@@ -111,7 +141,15 @@ def train(
             f"stopped after {trainer.global_step} of {steps} steps; go on "
             "with --resume"
         )
-    card = make_card(datasets, config, data, module, trainer, box_size=size)
+    card = make_card(
+        datasets,
+        config,
+        data,
+        module,
+        trainer,
+        box_size=size,
+        out=options.out,
+    )
     _export(options.out, net, card)
     return card
 
@@ -223,9 +261,11 @@ def _steps(data: TrainingData, options: RunOptions) -> int:
     return data.epochs * (data.steps_per_epoch // options.devices)
 
 
-def _open_run(options: RunOptions) -> None:
+def _open_run(
+    datasets: Sequence[Path], config: TrainConfig, options: RunOptions
+) -> None:
+    """Checks that a run may begin or go on, and writes its manifest."""
     out = options.out
-    out.mkdir(parents=True, exist_ok=True)
     checkpoint = out / CHECKPOINT
     if options.resume and not checkpoint.is_file():
         raise TrainingError(
@@ -237,6 +277,19 @@ def _open_run(options: RunOptions) -> None:
             f"{out} holds a run: give --resume to go on with it, or another "
             "folder"
         )
+    manifests = [read_manifest(dataset) for dataset in datasets]
+    settings = {
+        **asdict(config),
+        "datasets": [manifest.fingerprint() for manifest in manifests],
+    }
+    now = provenance(config)
+    if options.resume:
+        kept = {k: v for k, v in settings.items() if k not in _FREE}
+        check_resumable(out, now, settings=kept, mix=options.mix)
+    if _is_first():
+        scenarios = "---\n".join(manifest.scenario for manifest in manifests)
+        run = Run("train", now, scenarios, [config.seed], settings)
+        record_run(out, run, resumed=options.resume)
 
 
 def _trainer(
