@@ -22,5 +22,5 @@ def scenario_provenance(
         return current()
     return current(
         weights=[weights_path(perception)],
-        dtype=getattr(perception, "dtype", "float32"),
+        dtype=perception.dtype,
     )
