@@ -39,7 +39,11 @@ def poses(rng, count):
 
 
 def unknown_points(depth, camera):
-    """What the camera has not seen to be free, and the bin: (m, 3)."""
+    """What the camera has not seen to be free, and the bin: (m, 3).
+
+    Of what is outside the image only what is next to it: grippers come in from
+    there.
+    """
     depth = depth[::3, ::3].astype(float)
     rays = camera.rays()[::3, ::3]
     clouds = [
@@ -47,7 +51,21 @@ def unknown_points(depth, camera):
         for beyond in np.arange(0.0, 0.10, 0.004)
     ]
     points = np.concatenate(clouds).reshape(-1, 3)
-    return np.concatenate([points[points[:, 2] > 0.003], bin_faces()])
+    points = points[points[:, 2] > 0.003]
+    return np.concatenate([points, beside_the_image(camera), bin_faces()])
+
+
+def beside_the_image(camera):
+    """Points up to 15 pixels outside the image, (m, 3)."""
+    u, v = np.meshgrid(
+        np.arange(-15, camera.width + 16, 7.5),
+        np.arange(-15, camera.height + 16, 7.5),
+    )
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    pixels = np.stack([u, v, np.ones_like(u)], axis=-1)[~inside]
+    rays = pixels @ np.linalg.inv(camera.intrinsics).T
+    p_C = np.concatenate([z * rays for z in np.arange(0.4, 0.8, 0.01)])
+    return p_C @ camera.X_WC[:3, :3].T + camera.X_WC[:3, 3]
 
 
 def bin_faces():
@@ -134,11 +152,12 @@ def test_one_object_more_leaves_no_more_room(seed):
 def test_the_walls_are_known_though_not_seen(y, free):
     """The gripper's body reaches 40 mm aside, below the walls' top, and stays
     2 mm clear of them."""
+    seen = space(camera=CAMERAS["high"])
     X_WG = downwards(0, y, 0.03)[None]
-    room = space().room(GraspKind.JAW, X_WG, np.array([0.03]))
+    room = seen.room(GraspKind.JAW, X_WG, np.array([0.03]))
     assert (room[0] >= 0) == free
-    above = downwards(0, y, 0.03 + 0.12)[None]
-    assert space().room(GraspKind.JAW, above, np.array([0.03]))[0] >= 0
+    above = downwards(0, y, 0.03 + 0.07)[None]
+    assert seen.room(GraspKind.JAW, above, np.array([0.03]))[0] >= 0
 
 
 @pytest.mark.parametrize(("z", "free"), [(0.0035, True), (-0.002, False)])
@@ -176,6 +195,25 @@ def test_what_hides_behind_an_object_is_taken_as_full():
         X_WG = downwards(x, y, 0.0035, yaw=yaw)[None]
         room = s.room(GraspKind.JAW, X_WG, np.array([0.0]))
         assert (room[0] >= 0) == free
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_outside_the_image_is_taken_as_full(kind):
+    """The image ends beside one gripper, and another is outside it."""
+    whole = CAMERAS["nominal"]
+    depth = see(whole)[0]
+    top = int(whole.project(np.array([0.0, 0.08, 0.0]))[1])
+    part = whole.cropped(slice(top, whole.height), slice(0, whole.width))
+    X_WG = np.array([downwards(0, y, 0.02) for y in (0.12, 0.06, -0.06)])
+    opening = np.full(len(X_WG), 0.03)
+    for seen, free in (
+        (FreeSpace(depth, whole, SHAPES), [True, True, True]),
+        (FreeSpace(depth[top:], part, SHAPES), [False, False, True]),
+    ):
+        room = seen.room(kind, X_WG, opening)
+        np.testing.assert_array_equal(room >= 0, free)
+        tips = seen.tips_are_free(kind, X_WG, opening)
+        assert tips[0] == free[0]
 
 
 def test_no_poses_have_no_room():

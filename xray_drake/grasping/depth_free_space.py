@@ -1,8 +1,9 @@
 """Where a gripper may go: only where a camera has seen that there is nothing.
 
-What lies behind the surface that a camera sees is unknown, and taken as full.
-So a body is free of collision if every point of it is nearer to the camera than
-the surface in the same pixel. Points on the gripper's faces are compared with a
+What lies behind the surface that a camera sees is unknown, and taken as full;
+so is what lies outside its image. So a body is free of collision if every point
+of it is in the image, and nearer to the camera than the surface in the same
+pixel. Points on the gripper's faces are compared with a
 depth image in which every pixel has the least depth around it; so what lies
 between them is not missed.
 """
@@ -108,12 +109,17 @@ class FreeSpace:
     def _nearest_around(
         image: np.ndarray, radii: np.ndarray
     ) -> list[np.ndarray]:
-        """Returns images of the least depth within rising radii, pixels."""
+        """Returns images of the least depth within rising radii, pixels.
+
+        Outside the image the depth is 0: nothing is nearer.
+        """
         images, done = [], 0
         for radius in np.ceil(radii).astype(int).tolist():
             size = 2 * (radius - done) + 1
             kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-            image = cv2.erode(image, kernel)
+            image = cv2.erode(
+                image, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0.0
+            )
             images.append(image.ravel())
             done = radius
         return images
@@ -183,7 +189,7 @@ class FreeSpace:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns (n, m) pixels, as indices, and z-depths of a part's points.
 
-        What is outside the image has a depth of −inf.
+        What is outside the image has a depth of inf: it is not free.
         """
         height, width = self._shape
         uvz = shape.transform(part, self._projection, X_WG, opening)
@@ -193,7 +199,7 @@ class FreeSpace:
             v = np.rint(uvz[:, 1] / z)
         seen = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (z > 0)
         pixel = np.where(seen, v * width + u, 0).astype(np.int32)
-        return pixel, np.where(seen, z, -np.inf)
+        return pixel, np.where(seen, z, np.inf)
 
     def _count(
         self,
