@@ -95,11 +95,25 @@ def occluders(
 
 
 def cover(
-    mesh: trimesh.Trimesh, x: float, y: float, angle: float
+    mesh: trimesh.Trimesh,
+    x: float,
+    y: float,
+    angle: float,
+    margin: float = 0.03,
 ) -> trimesh.Trimesh:
-    """Puts a plate right over a mesh that lies there, a little larger."""
+    """Puts a plate right over a mesh that lies there, a little larger.
+
+    Args:
+        mesh: what is covered.
+        x: of its middle, m.
+        y: likewise.
+        angle: of both, rad.
+        margin: length of the plate beyond the mesh's, m; its width has 4 mm
+            less of it.
+    """
     length, width, height = mesh.extents
-    plate = trimesh.creation.box([length + 0.03, width + 0.026, 0.01])
+    sides = [length + margin, width + margin - 0.004, 0.01]
+    plate = trimesh.creation.box(sides)
     X_WO = trimesh.transformations.rotation_matrix(angle, [0, 0, 1])
     X_WO[:3, 3] = [x, y, height + 0.006]
     return plate.apply_transform(X_WO)

@@ -17,7 +17,7 @@ from xray_drake.scene.targets import target_model
 
 NOTHING = np.zeros((384, 512), dtype=bool)
 # Fewer orientations than usual, for the sake of the brute force.
-COARSE = ExactInferenceConfig(rotations=16, seen_step=0.006)
+COARSE = ExactInferenceConfig(rotations=16, seen_step=0.012)
 
 
 def amodal_mask(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:
@@ -64,14 +64,13 @@ def pixel_poses(
     )
 
 
+# Each camera, and each kind of silhouette, once.
 AGREEMENT = [
-    ("box_2to1", "nominal", 1),
-    ("box_2to1", "tilted", 0),
     ("box_2to1", "high", 1),
     ("box_5to1", "rolled", 1),
     ("box_10to1", "low", 1),
     ("lid", "tilted", 1),
-    ("flute", "low", 1),
+    ("flute", "nominal", 1),
 ]
 
 
@@ -84,14 +83,14 @@ def test_hidden_support_agrees_with_brute_force(
     rng = np.random.default_rng(seed)
     center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
     angle = rng.uniform(0, np.pi)
-    plate = cover(target.visual, *center, angle)
+    plate = cover(target.visual, *center, angle, margin=0.02)
     height = target.extents[2] + 0.002
     others = occluders(rng, 2, center, 0.02, height)
     depth, _ = render(camera, [plate, *others])
     inference = ExactInference(target, COARSE)
     result = inference.infer(depth, NOTHING, camera)
 
-    poses = lattice_poses(inference, center, 0.06)
+    poses = lattice_poses(inference, center, 0.045)
     truth = BruteForce(target.visual, COARSE, depth, NOTHING, camera)
     expected = truth.infer(poses)
     # All that is accepted is among the poses the reference was given.

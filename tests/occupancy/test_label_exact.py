@@ -1,5 +1,7 @@
 """The label of exact placement against brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -64,11 +66,12 @@ def test_seen_label_agrees_with_brute_force(name: str, view: str) -> None:
     _, shown = render(camera, [mesh, block])
     modal = shown == 0
     scene, _ = render(camera, [block])
-    inference = ExactInference(target, COARSE)
+    config = replace(COARSE, seen_step=0.006)
+    inference = ExactInference(target, config)
     label = exact_label(inference, scene, modal, camera)
 
     poses = pixel_poses(inference, modal, camera, target.extents)
-    truth = BruteForce(target.visual, COARSE, scene, modal, camera)
+    truth = BruteForce(target.visual, config, scene, modal, camera)
     assert iou(label.support(), truth.infer(poses) > 0) >= 0.98
     amodal = amodal_mask(mesh, camera)
     assert np.count_nonzero(label.support() & amodal) >= 0.98 * amodal.sum()

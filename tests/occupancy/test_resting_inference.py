@@ -105,11 +105,9 @@ def near(pixels: np.ndarray, place: np.ndarray, reach: float) -> np.ndarray:
     return pixels[(np.abs(pixels - place) <= reach).all(axis=1)]
 
 
+# Each view has targets that lie in another way.
 SCENES = [
-    (name, view, seed)
-    for name in TARGETS
-    for view in SMALL
-    for seed in range(2)
+    (name, view, seed) for name in TARGETS for seed, view in enumerate(SMALL)
 ]
 
 
