@@ -191,7 +191,7 @@ def benchmark(
     ] = True,
     mix: Mix = False,
 ) -> None:
-    """Run policies on the same heaps and print the paper's Table II.
+    """Run policies on the same heaps and print a table like the paper's.
 
     The scenario decides what an option leaves out.
     """
