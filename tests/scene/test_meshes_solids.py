@@ -288,6 +288,9 @@ def test_repairs_reach_the_log_and_the_summary(tmp_path, caplog):
     assert "tall.stl: a hole filled (7%" in record.getMessage()
     assert list(made.notes) == [f"{tmp_path.name}/tall"]
     assert "1 of them with a remark" in made.summary()
+    again = import_meshes(tmp_path, cache_dir=tmp_path / "cache")
+    assert again.from_cache == 2
+    assert again.notes == made.notes
 
 
 def test_what_is_as_long_as_the_floor_is_welcome(tmp_path):

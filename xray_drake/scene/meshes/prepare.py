@@ -178,6 +178,9 @@ def prepare(path: Path, settings: Settings) -> Prepared:
     texture = None if raw.visual is None else read_texture(raw.visual)
     color = raw.color
     extra = {}
+    notes = [*closed.repairs, *raw.notes]
+    if raw.visual is not None and texture is None:
+        notes.append("its texture has no finite coordinates")
     if texture is not None:
         color = mean_color(texture)
         extra = {
@@ -196,7 +199,7 @@ def prepare(path: Path, settings: Settings) -> Prepared:
         losses=np.array(
             [losses.missing, losses.added, losses.volume, losses.silhouette]
         ),
-        notes=np.array([*closed.repairs, *raw.notes], dtype=np.str_),
+        notes=np.array(notes, dtype=np.str_),
         color=color,
         **extra,
     )
