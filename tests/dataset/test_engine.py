@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from xray_drake.dataset import engine
 from xray_drake.dataset.check import check_dataset
 from xray_drake.dataset.engine import open_dataset, run_processes, run_ray
 from xray_drake.dataset.manifest import Manifest
+from xray_drake.provenance import current
 
 
 def names(shards: tuple) -> list[str]:
@@ -146,6 +148,13 @@ def test_nothing_is_lost_to_kill_9(tmp_path: Path) -> None:
     report = check_dataset(tmp_path)
     assert report.sound
     assert len(report.samples) == 3
+
+
+def test_a_machine_of_other_code_makes_nothing() -> None:
+    manifest = small(1)
+    other = replace(current(), code="0123")
+    with pytest.raises(RuntimeError, match="of the cluster differs: code 0123"):
+        engine._make_remotely(manifest, manifest.expected_shards()[0], other)
 
 
 def test_ray_is_an_extra(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:

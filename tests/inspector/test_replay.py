@@ -153,7 +153,8 @@ def test_what_cannot_be_shown(
     (tmp_path / ROLLOUTS).write_text("")
     with pytest.raises(ValueError, match="holds no rollouts"):
         load_rollout(tmp_path)
-    failed = {"policy": "xray", "seed": 1, "end": "error", "reason": "NaN"}
+    failed = {"policy": "xray", "target": "lid", "seed": 1, "end": "error"}
+    failed["reason"] = "NaN"
     with pytest.raises(ValueError, match=r"ended with an error.*NaN"):
         load_rollout(written(failed, failed))
     changed = record["scenario"] + "\nhorizn: 3\n"

@@ -1,8 +1,10 @@
 import dataclasses
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -13,15 +15,18 @@ from xray_drake.dataset.manifest import (
     DatasetError,
     Manifest,
     read_manifest,
-    write_manifest,
 )
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.shards import (
+    ForeignShardError,
     ShardError,
+    ShardReader,
     read_shard,
+    write_shard,
 )
 from xray_drake.dataset.virtual import is_virtual
+from xray_drake.files import InUseError, sole_writer
 from xray_drake.occupancy.networks.inputs import (
     COARSE,
     FINE,
@@ -181,9 +186,9 @@ def test_another_dataset_in_the_same_place_is_prepared_anew(
 ) -> None:
     files = []
     manifest = read_manifest(dataset)
-    (tmp_path / "train-00000.h5").touch()
     for seed in (1, 2):
-        write_manifest(tmp_path, dataclasses.replace(manifest, seed=seed))
+        other = dataclasses.replace(manifest, seed=seed)
+        write_dataset(tmp_path, other, _sample)
         jobs = plan([tmp_path], tmp_path, EXACT, SHARE, incomplete=True)
         files.append(jobs[0][1])
     assert files[0] != files[1]
@@ -467,7 +472,17 @@ def test_a_damaged_shard_is_named_and_leaves_nothing(
         (folder / path.name).write_bytes(path.read_bytes())
     bad = folder / "train-00001.h5"
     bad.write_bytes(bad.read_bytes()[:-100])
+    # Cut short, it is found before anything is made.
     cache = tmp_path / "cache"
+    with pytest.raises(ShardError, match=r"train-00001\.h5 is damaged"):
+        plan([folder], cache, EXACT, SHARE)
+    assert not cache.exists()
+    # Changed within, when it is read.
+    whole = bytearray((dataset / bad.name).read_bytes())
+    with h5py.File(dataset / bad.name) as file:
+        chunk = file["depth"].id.get_chunk_info(0)
+    whole[chunk.byte_offset + chunk.size // 2] ^= 1
+    bad.write_bytes(whole)
     jobs = plan([folder], cache, EXACT, SHARE)
     with pytest.raises(ShardError, match=r"train-00001\.h5 is damaged"):
         list(prepare(jobs, EXACT, SHARE))
@@ -485,3 +500,31 @@ def test_processes_make_the_same_items(
     path = tmp_path / "here.npz"
     prepare_shard(dataset / "train-00000.h5", path, PrepareConfig(), SHARE)
     assert files[0].read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "change", [{"dataset": "0123"}, {"split": "test"}, {"index": 7}]
+)
+def test_a_shard_that_does_not_belong_is_refused(
+    dataset: Path, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    folder = shutil.copytree(dataset, tmp_path / "dataset")
+    path = folder / "train-00001.h5"
+    with ShardReader(path) as shard:
+        attributes = dataclasses.replace(shard.attributes, **change)
+    write_shard(path, read_shard(path), attributes)
+    with pytest.raises(ForeignShardError, match=r"train-00001\.h5"):
+        plan([folder], tmp_path, EXACT, SHARE)
+
+
+def test_items_have_one_writer(
+    dataset: Path, tmp_path: Path, made: list[str]
+) -> None:
+    with sole_writer(tmp_path):
+        with pytest.raises(InUseError):
+            _prepare(dataset, tmp_path)
+        assert not made
+    _prepare(dataset, tmp_path)
+    # Who finds all there writes nothing.
+    with sole_writer(tmp_path):
+        _prepare(dataset, tmp_path)

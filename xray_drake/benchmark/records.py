@@ -22,7 +22,7 @@ from xray_drake.station.scenario import (
 ROLLOUTS = "rollouts.jsonl"
 SCENARIO = "scenario.yaml"
 
-_KEYS = ("policy", "target", "seed", "end", "success", "num_actions")
+_KEYS = ("policy", "target", "seed", "end")
 _SEED = re.compile(r"^seed: *(\d+) *$\n?", re.MULTILINE)
 
 HeapKey = tuple[str, int]

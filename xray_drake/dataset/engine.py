@@ -22,6 +22,7 @@ from xray_drake.dataset.shards import (
 )
 from xray_drake.files import remove_leftovers, write_whole_file
 from xray_drake.processes import ATTEMPTS, Died, Failed, JobProcesses, Sent
+from xray_drake.provenance import Provenance, current
 from xray_drake.threads import limit_threads
 
 Progress = Callable[[str, int], None]
@@ -165,8 +166,8 @@ def run_ray(
     The machines need this package (and folders of meshes, where they are
     used, at the same paths), but no common file system: shards travel to this
     machine and are written here. The same manifest gives the same dataset as
-    :func:`run_processes` where machines have the same Drake and processor
-    features.
+    :func:`run_processes` where machines have the same processor features; one
+    with other code or versions is refused.
 
     Args:
         folder: of the dataset.
@@ -178,7 +179,7 @@ def run_ray(
 
     Raises:
         RuntimeError: Ray is not installed, there is no cluster at the
-            address, or a shard could not be made.
+            address, a machine has other code, or a shard could not be made.
     """
     try:
         import ray
@@ -202,7 +203,10 @@ def run_ray(
         _make_remotely
     )
     try:
-        pending = {task.remote(manifest, shard): shard for shard in shards}
+        here = current()
+        pending = {
+            task.remote(manifest, shard, here): shard for shard in shards
+        }
         while pending:
             (ready, *_), _ = ray.wait(list(pending))
             shard = pending.pop(ready)
@@ -221,9 +225,14 @@ def run_ray(
 
 
 def _make_remotely(
-    manifest: Manifest, shard: ExpectedShard
+    manifest: Manifest, shard: ExpectedShard, wanted: Provenance
 ) -> tuple[ShardReport, bytes]:
     limit_threads()
+    if found := wanted.differences(current()):
+        raise RuntimeError(
+            f"a machine of the cluster differs: {'; '.join(found)} there; "
+            "install the same"
+        )
     with tempfile.TemporaryDirectory() as folder:
         report = make_shard(Path(folder), manifest, shard)
         return report, (Path(folder) / shard.name).read_bytes()
