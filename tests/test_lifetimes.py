@@ -1,0 +1,457 @@
+"""Systems, heaps, searches and episodes leave nothing behind."""
+
+import ast
+import gc
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue, Value
+from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    System,
+)
+
+from xray_drake.gym.environment import MechanicalSearchEnv
+from xray_drake.lifetimes import CollectableLeafSystem, my_context
+from xray_drake.messages import SearchAction
+from xray_drake.scene import heap as heap_module
+from xray_drake.scene.heap import Heap, drop_heap
+from xray_drake.scene.library import make_object
+from xray_drake.scene.targets import target_model
+from xray_drake.search.diagram import SearchDiagram, build_search_diagram
+from xray_drake.search.monitor import attach_monitor
+from xray_drake.search.rollout import run_search
+from xray_drake.search.transitions import Transitions
+from xray_drake.station.scenario import Scenario
+
+PACKAGE = Path(__file__).parents[1] / "xray_drake"
+DRAKE = version("drake")
+STATM = Path("/proc/self/statm")
+
+freed_by_drake = pytest.mark.skipif(
+    tuple(map(int, DRAKE.split(".")[:2])) < (1, 58),
+    reason=f"Drake {DRAKE} frees no system written in Python; 1.58 does, with "
+    "Python 3.12 or 3.13",
+)
+
+Watched = dict[str, weakref.ref]
+
+
+def left(watched: Watched) -> list[str]:
+    """Returns what is still there."""
+    gc.collect()
+    return [name for name, reference in watched.items() if reference()]
+
+
+# What no port may do.
+
+
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
+    """The modules of the package, by their paths."""
+    return {
+        str(path.relative_to(PACKAGE)): ast.parse(
+            path.read_text(encoding="utf-8")
+        )
+        for path in PACKAGE.rglob("*.py")
+    }
+
+
+def test_ports_are_declared_in_one_way(trees: dict[str, ast.Module]) -> None:
+    """What keeps its system is used by the base class alone."""
+    for name, tree in trees.items():
+        if name == "lifetimes.py":
+            continue
+        used = {n.name for n in ast.walk(tree) if isinstance(n, ast.alias)}
+        used |= {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
+        assert not used & {"LeafSystem", "VectorSystem", "ValueProducer"}, name
+
+
+def test_no_lambda_of_a_port_refers_to_its_system(
+    trees: dict[str, ast.Module],
+) -> None:
+    for name, tree in trees.items():
+        lambdas = [
+            argument
+            for call in ast.walk(tree)
+            if isinstance(call, ast.Call)
+            and isinstance(call.func, ast.Attribute)
+            and call.func.attr.startswith("Declare")
+            for argument in (*call.args, *(k.value for k in call.keywords))
+            if isinstance(argument, ast.Lambda)
+        ]
+        names = {
+            node.id
+            for argument in lambdas
+            for node in ast.walk(argument)
+            if isinstance(node, ast.Name)
+        }
+        assert "self" not in names, name
+
+
+# The base class.
+
+
+class Sum(CollectableLeafSystem):
+    """Adds one to its input, by a cache entry and both kinds of ports."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._term = self.DeclareVectorInputPort("term", 1)
+        self._sum = self.DeclareCacheEntry(
+            description="sum",
+            allocate=self._allocate,
+            calc=self._add,
+            prerequisites_of_calc={self._term.ticket()},
+        )
+        tickets = {self._sum.ticket()}
+        self.DeclareVectorOutputPort("a", 1, self._calc, tickets)
+        self.DeclareVectorOutputPort(
+            name="b",
+            size=1,
+            calc=self._calc,
+            prerequisites_of_calc=tickets,
+        )
+        self.DeclareAbstractOutputPort("c", self._allocate, self._calc_value)
+        self.DeclareAbstractOutputPort(
+            name="d",
+            alloc=self._allocate,
+            calc=self._calc_value,
+            prerequisites_of_calc=tickets,
+        )
+        self.calls = 0
+
+    def _allocate(self) -> AbstractValue:
+        return Value(0.0)
+
+    def _add(self, context: Context, output: AbstractValue) -> None:
+        self.calls += 1
+        output.set_value(self._term.Eval(context)[0] + 1)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector([self._sum.Eval(context)])
+
+    def _calc_value(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._sum.Eval(context))
+
+
+def evaluated(system: Sum) -> list[Any]:
+    context = system.CreateDefaultContext()
+    results = []
+    for value in (1.0, 2.0):
+        system.get_input_port().FixValue(context, [value])
+        results += [
+            float(np.squeeze(system.GetOutputPort(name).Eval(context)))
+            for name in "abcd"
+        ]
+    return results
+
+
+def test_ports_and_cache_entries_compute() -> None:
+    system = Sum()
+    assert evaluated(system) == [2.0] * 4 + [3.0] * 4
+    assert system.calls == 2
+
+
+def test_a_context_is_found_from_the_root() -> None:
+    builder = DiagramBuilder()
+    system = builder.AddSystem(Sum())
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    assert my_context(diagram, root) is root
+    system.ValidateContext(my_context(system, root))
+
+
+@freed_by_drake
+def test_a_system_and_its_contexts_are_freed() -> None:
+    def build() -> Watched:
+        alone = Sum()
+        evaluated(alone)
+        builder = DiagramBuilder()
+        system = builder.AddSystem(Sum())
+        diagram = builder.Build()
+        root = diagram.CreateDefaultContext()
+        for part in (diagram, system):
+            my_context(part, root)
+        return {
+            "alone": weakref.ref(alone),
+            "system": weakref.ref(system),
+            "root": weakref.ref(root),
+        }
+
+    assert left(build()) == []
+
+
+# The systems of the package, in searches that have them all.
+
+
+def by_truth(scenario: Scenario) -> None:
+    scenario.policy.name = "oracle"
+
+
+def by_images(scenario: Scenario) -> None:
+    scenario.policy.name = "combined"
+    scenario.perception.detector = "hsv"
+    scenario.perception.segmenter = "depth"
+    scenario.perception.noise = True
+    scenario.gripper.grasps = "depth"
+
+
+def by_contact(scenario: Scenario) -> None:
+    scenario.gripper.execution = "contact"
+
+
+def by_agent(scenario: Scenario) -> None:
+    pass
+
+
+SEARCHES: Mapping[Callable[[Scenario], None], set[str]] = {
+    by_truth: {
+        "GroundTruthInstanceSegmenter",
+        "GroundTruthTargetDetector",
+        "OccupancyInference",
+        "QuasiStaticGripper",
+        "SearchDiagram",
+        "SearchPolicy",
+        "TrueTargetMask",
+    },
+    by_images: {
+        "DepthInstanceSegmenter",
+        "GraspedBody",
+        "HsvTargetDetector",
+        "NoisyDepthSensor",
+        "SearchMemory",
+    },
+    by_contact: {"GripperController", "RestSensor", "SealLight", "SuctionCup"},
+    by_agent: {"ChoicePolicy"},
+}
+
+
+def parts_of(diagram: Diagram) -> Iterator[System]:
+    yield diagram
+    for system in diagram.GetSystems():
+        if isinstance(system, Diagram):
+            yield from parts_of(system)
+        else:
+            yield system
+
+
+def run(diagram: SearchDiagram) -> Watched:
+    """Runs a search for a moment and looks at all of its outputs."""
+    simulator = Simulator(diagram)
+    monitor = attach_monitor(simulator, diagram)
+    simulator.AdvanceTo(0.06)
+    context = simulator.get_context()
+    for index in range(diagram.num_output_ports()):
+        diagram.get_output_port(index).Eval(context)
+    parts = {type(part).__name__: part for part in parts_of(diagram)}
+    things = parts | {"monitor": monitor, "context": context}
+    return {name: weakref.ref(thing) for name, thing in things.items()}
+
+
+@freed_by_drake
+@pytest.mark.parametrize("change", SEARCHES, ids=lambda change: change.__name__)
+def test_every_system_is_freed(
+    change: Callable[[Scenario], None],
+    tiny_heap: Heap,
+    tiny_scenario: Scenario,
+) -> None:
+    change(tiny_scenario)
+    meshcat = None
+    if change is by_contact:
+        meshcat = Meshcat(MeshcatParams(host="localhost"))
+    watched = run(
+        build_search_diagram(
+            tiny_scenario,
+            heap=tiny_heap,
+            meshcat=meshcat,
+            agent=change is by_agent,
+        )
+    )
+    assert watched.keys() >= SEARCHES[change] | {"MultibodyPlant", "SceneGraph"}
+    assert left(watched) == []
+
+
+def test_no_system_is_left_out(trees: dict[str, ast.Module]) -> None:
+    bases = {
+        node.name: {b.id for b in node.bases if isinstance(b, ast.Name)}
+        for tree in trees.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    }
+    systems, found = {"Diagram", "CollectableLeafSystem"}, set[str]()
+    while systems != found:
+        found = systems
+        systems = found | {n for n, b in bases.items() if b & found}
+    assert systems - {"Diagram", "CollectableLeafSystem"} == set.union(
+        *SEARCHES.values()
+    )
+
+
+@freed_by_drake
+def test_a_system_of_ones_own_is_freed(
+    tiny_heap: Heap, tiny_scenario: Scenario
+) -> None:
+    """It may keep what it is given: plant, objects, planner."""
+
+    class Idle(CollectableLeafSystem):
+        def __init__(self, parts: Any) -> None:
+            super().__init__()
+            self.parts = parts
+            self.DeclareAbstractOutputPort(
+                "action", lambda: Value(SearchAction()), self._calc
+            )
+
+        def _calc(self, context: Context, output: AbstractValue) -> None:
+            output.set_value(SearchAction())
+
+    watched = run(
+        build_search_diagram(
+            tiny_scenario, heap=tiny_heap, replace={"search_policy": Idle}
+        )
+    )
+    assert left(watched) == []
+
+
+class Watcher:
+    """Watches a search from inside, without keeping it."""
+
+    def __init__(self) -> None:
+        self.watched: Watched = {}
+
+    def decided(
+        self, diagram: SearchDiagram, context: Context, action: SearchAction
+    ) -> None:
+        things = {"diagram": diagram, "context": context}
+        self.watched |= {k: weakref.ref(v) for k, v in things.items()}
+
+    def ended(self, *_: object) -> None:
+        pass
+
+
+@freed_by_drake
+def test_a_search_is_freed(tiny_heap: Heap, tiny_scenario: Scenario) -> None:
+    watcher, transitions = Watcher(), Transitions()
+    tiny_scenario.horizon = 1
+    for _ in range(2):  # the second recalls the first
+        record = run_search(
+            build_search_diagram(tiny_scenario, heap=tiny_heap),
+            observers=(watcher,),
+            transitions=transitions,
+        )
+        assert record.num_actions == 1
+        assert left(watcher.watched) == []
+
+
+@freed_by_drake
+def test_a_heap_is_freed(monkeypatch: pytest.MonkeyPatch) -> None:
+    watched: Watched = {}
+    add_plant = heap_module.add_plant
+
+    def noted(*args: Any, **kwargs: Any) -> Any:
+        plant, scene_graph = add_plant(*args, **kwargs)
+        watched["plant"] = weakref.ref(plant)
+        watched["scene_graph"] = weakref.ref(scene_graph)
+        return plant, scene_graph
+
+    monkeypatch.setattr(heap_module, "add_plant", noted)
+    drop_heap(target_model("box_2to1"), [make_object("carton_000")], seed=1)
+    assert watched.keys() == {"plant", "scene_graph"}
+    assert left(watched) == []
+
+
+# The environment.
+
+
+@pytest.fixture
+def small_heap(tiny_heap: Heap) -> Heap:
+    """The target under the book, and nothing else."""
+    book = tiny_heap.objects[0]
+    names = (tiny_heap.target.name, book.name)
+    poses = {name: tiny_heap.poses[name] for name in names}
+    return replace(tiny_heap, objects=(book,), poses=poses)
+
+
+@pytest.fixture
+def small_scenario(tiny_scenario: Scenario) -> Scenario:
+    """One action, planned and carried out in a hurry, seen in few pixels."""
+    camera = tiny_scenario.camera
+    camera.width, camera.height = 128, 96
+    camera.center_x, camera.center_y = 63.5, 47.5
+    camera.focal.x = camera.focal.y = 138.0
+    tiny_scenario.horizon = 1
+    tiny_scenario.plant_config.time_step = 0.01
+    tiny_scenario.policy.min_visible_pixels = 10
+    planner = tiny_scenario.gripper.planner
+    planner.jaw_samples, planner.suction_samples, planner.rehearsals = 40, 20, 0
+    motion = tiny_scenario.gripper.quasi_static
+    motion.speed, motion.approach_time, motion.rest_round = 3.0, 0.05, 0.05
+    return tiny_scenario
+
+
+def act(env: MechanicalSearchEnv, seed: int) -> None:
+    observation, _ = env.reset(seed=seed)
+    action = int(np.argmax(observation["action_mask"]))
+    *_, terminated, truncated, info = env.step(action)
+    assert info["valid"]
+    assert terminated or truncated
+
+
+@freed_by_drake
+def test_an_episode_is_freed_before_the_next(
+    small_heap: Heap, small_scenario: Scenario
+) -> None:
+    watched: Watched = {}
+
+    def drop(scenario: Scenario) -> Heap:
+        assert left(watched) == []
+        return small_heap
+
+    env = MechanicalSearchEnv(
+        small_scenario, drop=drop, render_mode="rgb_array"
+    )
+    for seed in range(2):
+        act(env, seed)
+        env.render()
+        things = {
+            "diagram": env.simulator.get_system(),
+            "context": env.simulator.get_context(),
+            "monitor": env.monitor,
+        }
+        watched = {k: weakref.ref(v) for k, v in things.items()}
+        del things
+    assert len(left(watched)) == 3
+    env.close()
+    assert left(watched) == []
+
+
+def resident() -> float:
+    """Returns the memory that the process holds, MB."""
+    return int(STATM.read_text().split()[1]) * 4096 / 1e6
+
+
+@freed_by_drake
+@pytest.mark.skipif(not STATM.exists(), reason="Linux tells it")
+def test_thirty_episodes_add_little_memory(
+    small_heap: Heap, small_scenario: Scenario
+) -> None:
+    env = MechanicalSearchEnv(small_scenario, drop=lambda scenario: small_heap)
+    for seed in range(5):
+        act(env, seed)
+    gc.freeze()  # or the collector would look at all of torch each time
+    before = resident()
+    for seed in range(30):
+        act(env, seed)
+    gc.unfreeze()
+    assert resident() - before < 30
