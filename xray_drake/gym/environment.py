@@ -104,7 +104,11 @@ class MechanicalSearchEnv(DrakeGymEnv):
         "render_fps": 1,
     }
 
-    simulator: Any  # Drake's Simulator; None before the first reset
+    # Drake's own; None while there is no heap.
+    simulator: Any
+    action_port: Any
+    observation_port: Any
+    render_rgb_port: Any
 
     def __init__(
         self,
