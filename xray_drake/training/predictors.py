@@ -1,6 +1,6 @@
 """The inferences of the package, as an evaluation asks them."""
 
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,7 +56,7 @@ def learned_predictor(
     output: "Output" = "occupancy",
     dtype: str = DTYPES[0],
 ) -> Predictor:
-    """Returns a network's inference; each size of target is prepared once.
+    """Returns a network's inference; the last sizes of targets stay prepared.
 
     Args:
         path: of its weights; read when the first sample is asked about.
@@ -67,7 +67,7 @@ def learned_predictor(
     # The networks are not needed where only exact inference is asked.
     from xray_drake.occupancy.learned import load_inference
 
-    @cache
+    @lru_cache(maxsize=16)
     def inference(size: tuple[float, ...]) -> "OccupancyModel":
         return load_inference(
             path,
