@@ -2,6 +2,7 @@ import csv
 import dataclasses
 import itertools
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.module import CompactTraining
 from xray_drake.training.prepare import PrepareConfig, plan, prepare_shard
 from xray_drake.training.run import CARD, CHECKPOINT, WEIGHTS, RunOptions, train
-from xray_drake.training.windows import WindowedTraining
+from xray_drake.training.windows import WindowedData, WindowedTraining
 
 pytestmark = [
     pytest.mark.filterwarnings(f"ignore:{text}")
@@ -209,6 +210,7 @@ def test_the_card_says_what_was_trained_on_what(
     assert held_out <= card.data["items held out"] <= 2 * held_out
     assert HEAPS < out_of <= 2 * HEAPS
     assert card.training["seed"] == 0
+    assert card.training["lightning"] == version("lightning")
     assert card.training["optimizer steps"] == STEPS
     assert card.training["prepare"]["virtual"] == 1
     (figures,) = card.figures.values()
@@ -522,6 +524,36 @@ def test_the_part_for_windows_is_trained_beside_that_for_images(
     further, _ = load_weights(tmp_path / "on" / WEIGHTS)
     assert on.training["weights"] == str(out / WEIGHTS)
     assert further.keys() == after.keys()
+
+
+def test_every_device_has_windows_to_validate_on(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Although all that are held out would fit into one batch."""
+    config = dataclasses.replace(CONFIG, **WINDOWED)
+    files = sorted(cache.iterdir())
+    number = len(WindowedData(files, config).validation_items)  # type: ignore[arg-type]
+    assert 1 < number <= CONFIG.batch_size
+    shares = []
+    for rank in range(2):
+        monkeypatch.setattr(WindowedData, "_rank", lambda data, r=rank: r)
+        data = WindowedData(files, config, devices=2)
+        loader = data.val_dataloader()
+        assert isinstance(loader.batch_sampler, list)
+        shares.append([i for batch in loader.batch_sampler for i in batch])
+    assert all(shares)
+    assert sorted([*shares[0], *shares[1]]) == list(range(number))
+    with pytest.raises(TrainingError, match=f"{number} sample is held out"):
+        WindowedData(files, config, devices=number + 1)
+
+
+def test_too_many_devices_are_told_before_anything_is_done(
+    dataset: Path, tmp_path: Path
+) -> None:
+    options = RunOptions(out=tmp_path / "run", accelerator="cpu", devices=4)
+    with pytest.raises(TrainingError, match="items_per_epoch is 12: 4 devices"):
+        train([dataset], CONFIG, options)
+    assert not options.out.exists()
 
 
 def test_a_windowed_run_that_was_killed_goes_on_as_it_would_have_gone(

@@ -1,13 +1,22 @@
 from itertools import islice
+from typing import Any
 
+import lightning
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor, nn
+from torch.utils.data import TensorDataset
 
-from xray_drake.training.config import TrainConfig
-from xray_drake.training.data import PassSampler, PreparedItems, TrainingData
+from xray_drake.training.config import TrainConfig, TrainingError
+from xray_drake.training.data import (
+    PassSampler,
+    PreparedItems,
+    TrainingData,
+    steps_per_epoch,
+)
 from xray_drake.training.items import Item, pack
 from xray_drake.training.prepare import Prepared
 
@@ -170,6 +179,25 @@ def test_a_resumed_sampler_goes_on_as_it_would_have_gone(
     assert epochs(resumed, gone) == rest[:per_epoch]
 
 
+@given(**_sampler, devices=st.integers(1, 3))
+@settings(deadline=None, max_examples=50)
+def test_devices_share_an_epoch(
+    items: int, per_epoch: int, seed: int, devices: int
+) -> None:
+    for number in range(3):
+        whole = epochs(PassSampler(items, per_epoch, seed), number)
+        shares = [
+            epochs(
+                PassSampler(items, per_epoch, seed, rank=rank, devices=devices),
+                number,
+            )
+            for rank in range(devices)
+        ]
+        together = [item for step in zip(*shares, strict=True) for item in step]
+        assert together == whole[: len(together)]
+        assert len(whole) - len(together) < devices
+
+
 def test_passes_and_seeds_differ() -> None:
     drawn = epochs(PassSampler(50, 50, 0), 0, 1)
     assert drawn[:50] != drawn[50:]
@@ -206,3 +234,89 @@ def test_epochs_are_parts_of_passes(passes: float, epochs_: int) -> None:
         of = labels[:, 0, 0, 0]
         assert (coarse == of[:, None, None, None]).all()
         assert (sizes == of[:, None]).all()
+
+
+class Notes(lightning.LightningModule):
+    """Notes the numbers that it is trained and validated on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(1, 1)
+        self.trained: list[int] = []
+        self.validated: list[int] = []
+
+    def training_step(self, batch: list[Tensor], index: int) -> Tensor:
+        self.trained += batch[0].tolist()
+        return self.layer(batch[0][:, None].float()).sum()
+
+    def validation_step(self, batch: list[Tensor], index: int) -> None:
+        self.validated += batch[0].tolist()
+
+    def configure_optimizers(self) -> Any:
+        return torch.optim.SGD(self.parameters(), 1e-9)
+
+
+def counted(train: int, held_out: int, devices: int) -> TrainingData:
+    return TrainingData(
+        TensorDataset(torch.arange(train)),
+        TensorDataset(torch.arange(held_out)),
+        TrainConfig(passes=1, items_per_epoch=8, batch_size=2),
+        num_images=train,
+        workers=0,
+        devices=devices,
+    )
+
+
+@pytest.mark.filterwarnings("ignore:.*does not have many workers")
+@pytest.mark.filterwarnings("ignore:The number of training batches")
+@pytest.mark.filterwarnings("ignore:.*treespec, LeafSpec")
+@pytest.mark.parametrize("devices", [1, 2])
+def test_in_a_pass_the_trainers_devices_see_every_item_once(
+    monkeypatch: pytest.MonkeyPatch, devices: int
+) -> None:
+    """One after the other here: no device sees what another does."""
+    trained, validated = [], []
+    for rank in range(devices):
+        monkeypatch.setattr(TrainingData, "_rank", lambda data, r=rank: r)
+        data = counted(24, 7, devices)
+        trainer = lightning.Trainer(
+            max_epochs=data.epochs,
+            accelerator="cpu",
+            logger=False,
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            num_sanity_val_steps=0,
+            use_distributed_sampler=False,
+        )
+        notes = Notes()
+        trainer.fit(notes, data)
+        assert trainer.global_step == data.epochs * data.steps_per_epoch
+        assert len(notes.validated) % data.epochs == 0
+        trained += notes.trained
+        validated += notes.validated[: len(notes.validated) // data.epochs]
+    assert sorted(trained) == list(range(24))
+    # None is repeated, so metrics are those of one device.
+    assert sorted(validated) == list(range(7))
+
+
+@pytest.mark.parametrize(
+    ("train", "held_out", "devices", "words"),
+    [
+        (24, 0, 1, "no sample is held out for validation, for 1 device:"),
+        (24, 1, 2, "1 sample is held out for validation, for 2 devices:"),
+        (1, 7, 2, "1 sample is to train on, for 2 devices:"),
+    ],
+)
+def test_every_device_needs_an_item(
+    train: int, held_out: int, devices: int, words: str
+) -> None:
+    with pytest.raises(TrainingError, match=words):
+        counted(train, held_out, devices)
+
+
+def test_every_device_needs_a_batch() -> None:
+    config = TrainConfig(items_per_epoch=7, batch_size=2)
+    assert steps_per_epoch(config, 3) == 1
+    with pytest.raises(TrainingError, match="items_per_epoch is 7: 4 devices"):
+        steps_per_epoch(config, 4)

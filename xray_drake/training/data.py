@@ -1,6 +1,7 @@
 """What a network is trained on: items, batches, parts of passes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -71,13 +72,32 @@ class PassSampler(Sampler[int]):
     """Goes through all items again and again, a part of a pass an epoch.
 
     Which items an epoch has depends on the seed and the epoch's number alone,
-    so a run that is resumed goes on as it would have gone.
+    so a run that is resumed goes on as it would have gone. Devices share the
+    items of an epoch: each has as many, and none has another's.
     """
 
-    def __init__(self, items: int, per_epoch: int, seed: int) -> None:
+    def __init__(
+        self,
+        items: int,
+        per_epoch: int,
+        seed: int,
+        *,
+        rank: int = 0,
+        devices: int = 1,
+    ) -> None:
+        """Keeps what it is given.
+
+        Args:
+            items: in a pass.
+            per_epoch: of them, on all devices.
+            seed: of the order.
+            rank: of this device.
+            devices: how many there are.
+        """
         self._items = items
         self._per_epoch = per_epoch
         self._seed = seed
+        self._rank, self._devices = rank, devices
         self._epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -85,9 +105,14 @@ class PassSampler(Sampler[int]):
         self._epoch = epoch
 
     def __len__(self) -> int:
-        return self._per_epoch
+        return self._per_epoch // self._devices
 
     def __iter__(self) -> Iterator[int]:
+        shared = len(self) * self._devices
+        return islice(self._order(), self._rank, shared, self._devices)
+
+    def _order(self) -> Iterator[int]:
+        """Of the epoch's items, on all devices."""
         begin = self._epoch * self._per_epoch
         end = begin + self._per_epoch
         for number in range(begin // self._items, -(-end // self._items)):
@@ -98,8 +123,28 @@ class PassSampler(Sampler[int]):
             yield from order[max(low, 0) : high].tolist()
 
 
+def steps_per_epoch(config: TrainConfig, devices: int) -> int:
+    """Returns the optimizer's steps in an epoch, which devices take together.
+
+    Raises:
+        TrainingError: an epoch has not a batch for each device.
+    """
+    steps = config.items_per_epoch // (config.batch_size * devices)
+    if not steps:
+        raise TrainingError(
+            f"items_per_epoch is {config.items_per_epoch}: {devices} devices "
+            f"need a batch of {config.batch_size} each; raise it, or take "
+            "fewer devices"
+        )
+    return steps
+
+
 class TrainingData(lightning.LightningDataModule):
-    """Training and validation batches of items."""
+    """Training and validation batches of items, each device's own share.
+
+    The trainer's own samplers are not used: they repeat items that are held
+    out, so that metrics would depend on the number of devices.
+    """
 
     def __init__(
         self,
@@ -109,6 +154,7 @@ class TrainingData(lightning.LightningDataModule):
         *,
         num_images: int,
         workers: int,
+        devices: int = 1,
     ) -> None:
         """Keeps what it is given.
 
@@ -118,13 +164,16 @@ class TrainingData(lightning.LightningDataModule):
             config: of the run.
             num_images: labelled images of heaps among both.
             workers: processes that read; 0 reads in this one.
+            devices: that share the items.
 
         Raises:
-            TrainingError: nothing to train on, or to validate on.
+            TrainingError: nothing to train on, or to validate on, for some
+                device.
         """
         super().__init__()
         self._config = config
         self._workers = workers
+        self._devices = devices
         self.train_items = train_items
         self.validation_items = validation_items
         self.num_images = num_images
@@ -134,10 +183,11 @@ class TrainingData(lightning.LightningDataModule):
             ("to train on", self.num_train),
             ("held out for validation", self.num_validation),
         ):
-            if not count:
+            if count < devices:
                 raise TrainingError(
-                    f"no sample is {name}: give a larger dataset, or other "
-                    "targets"
+                    f"{count or 'no'} sample is {name}, for {devices} "
+                    f"device{'s' * (devices > 1)}: give a larger dataset, or "
+                    "other targets"
                 )
 
     @property
@@ -148,21 +198,30 @@ class TrainingData(lightning.LightningDataModule):
 
     @property
     def steps_per_epoch(self) -> int:
-        """Optimizer steps, on one device."""
-        return self._config.items_per_epoch // self._config.batch_size
+        """The optimizer's steps in one of these."""
+        return steps_per_epoch(self._config, self._devices)
 
     def train_dataloader(self) -> DataLoader:
-        """Returns shuffled batches."""
+        """Returns shuffled batches, this device's."""
         config = self._config
         sampler = PassSampler(
-            self.num_train, config.items_per_epoch, config.seed
+            self.num_train,
+            config.items_per_epoch,
+            config.seed,
+            rank=self._rank(),
+            devices=self._devices,
         )
         sampler.set_epoch(self._epochs_done())
         return self._loader(self.train_items, sampler, drop_last=True)
 
     def val_dataloader(self) -> DataLoader:
-        """Returns all items that are held out."""
-        return self._loader(self.validation_items, None, drop_last=False)
+        """Returns this device's share of all items that are held out."""
+        share = range(self._rank(), self.num_validation, self._devices)
+        return self._loader(self.validation_items, share, drop_last=False)
+
+    def _rank(self) -> int:
+        """This device's number."""
+        return self.trainer.global_rank if self.trainer else 0
 
     def _epochs_done(self) -> int:
         """Where a sampler begins.
@@ -178,7 +237,7 @@ class TrainingData(lightning.LightningDataModule):
     def _loader(
         self,
         items: Dataset[Any],
-        sampler: PassSampler | None,
+        sampler: Iterable[int],
         *,
         drop_last: bool,
     ) -> DataLoader:
@@ -196,7 +255,12 @@ class PreparedData(TrainingData):
     """Batches of prepared files; see :data:`Batch`."""
 
     def __init__(
-        self, files: Sequence[Path], config: TrainConfig, *, workers: int = 1
+        self,
+        files: Sequence[Path],
+        config: TrainConfig,
+        *,
+        workers: int = 1,
+        devices: int = 1,
     ) -> None:
         """Opens the files.
 
@@ -204,6 +268,7 @@ class PreparedData(TrainingData):
             files: of :func:`xray_drake.training.prepare.prepare`.
             config: chooses items and sizes of batches.
             workers: processes that read.
+            devices: that share the items.
 
         Raises:
             TrainingError: nothing to train on, or to validate on.
@@ -215,6 +280,7 @@ class PreparedData(TrainingData):
             config,
             num_images=train.num_real + validation.num_real,
             workers=workers,
+            devices=devices,
         )
 
 

@@ -111,15 +111,11 @@ class GeometryTraining(OccupancyTraining):
         """
         super().__init__(net, config, steps)
         self._counts = torch.zeros(5, dtype=torch.float64)
-        self._mass: list[Tensor] = []
+        self._mass = torch.zeros(2, dtype=torch.float64)  # sum, number
 
     def on_validation_epoch_end(self) -> None:
         """Logs what was counted, on all devices."""
-        mass = torch.cat(self._mass).double()
-        sums = torch.cat(
-            [self._counts, mass.sum()[None], torch.tensor([len(mass)])]
-        )
-        gathered = self.all_gather(sums)
+        gathered = self.all_gather(torch.cat([self._counts, self._mass]))
         assert isinstance(gathered, Tensor)  # (7,), or (devices, 7)
         total = gathered.reshape(-1, 7).sum(dim=0)
         for name, value in summary(total[:5]).items():
@@ -127,7 +123,7 @@ class GeometryTraining(OccupancyTraining):
         if total[6] > 0:
             self.log("validation/mass_on_target", total[5] / total[6])
         self._counts.zero_()
-        self._mass.clear()
+        self._mass.zero_()
 
     def _count(self, output: Tensor, labels: Tensor, real: Tensor) -> None:
         """Adds the pixels of (B, 2, h, w) answers and labels."""
@@ -135,7 +131,8 @@ class GeometryTraining(OccupancyTraining):
         occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
         self._counts += pixel_counts(occupancy, label).cpu()
         share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
-        self._mass.append(share[real].cpu())
+        shares = share[real].double().cpu()
+        self._mass += torch.tensor([shares.sum(), len(shares)])
 
     def _loss(self, stage: str, batch: Batch) -> tuple[Tensor, Tensor]:
         fine, coarse, labels, sizes, real = batch

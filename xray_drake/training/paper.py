@@ -37,6 +37,7 @@ class PaperData(TrainingData):
         config: TrainConfig,
         *,
         workers: int = 1,
+        devices: int = 1,
         incomplete: bool = False,
     ) -> None:
         """Reads what is in the datasets.
@@ -45,6 +46,7 @@ class PaperData(TrainingData):
             datasets: folders.
             config: chooses targets, the share held out and sizes of batches.
             workers: processes that read; 0 reads in this one.
+            devices: that share the items.
             incomplete: leave out shards that are missing.
 
         Raises:
@@ -59,6 +61,7 @@ class PaperData(TrainingData):
             config,
             num_images=sum(map(length, (train, validation))),
             workers=workers,
+            devices=devices,
         )
 
     def input_mean(self) -> Tensor:

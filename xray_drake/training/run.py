@@ -25,7 +25,11 @@ from xray_drake.training.beginning import begin_with, load_backbone
 from xray_drake.training.box import box_size
 from xray_drake.training.card import make_card, provenance
 from xray_drake.training.config import TrainConfig, TrainingError
-from xray_drake.training.data import PreparedData, TrainingData
+from xray_drake.training.data import (
+    PreparedData,
+    TrainingData,
+    steps_per_epoch,
+)
 from xray_drake.training.module import CompactTraining, OccupancyTraining
 from xray_drake.training.paper import PaperData, PaperTraining
 from xray_drake.training.prepare import plan, prepare
@@ -104,6 +108,7 @@ def train(
         InUseError: another process trains in the folder.
         OSError: something cannot be written.
     """
+    steps_per_epoch(config, options.devices)
     options.out.mkdir(parents=True, exist_ok=True)
     # Lightning starts a process for each further device.
     alone = sole_writer(options.out) if _is_first() else nullcontext()
@@ -130,7 +135,7 @@ def _train(
         begin_with(net, Path(config.weights))
     make = _MAKERS[config.architecture]
     module, data = make(net, datasets, config, options, prepared)
-    steps = _steps(data, options)
+    steps = _steps(data)
     try:
         trainer = _trainer(config, options, data.epochs, steps)
     except MisconfigurationException as error:
@@ -181,10 +186,10 @@ def _make_geometry(
         prepared(done, len(jobs))
     files = [path for _, path in jobs]
     if isinstance(net, WindowedNet):
-        windows = WindowedData(files, config)
-        return WindowedTraining(net, config, _steps(windows, options)), windows
-    data = PreparedData(files, config)
-    return CompactTraining(net, config, _steps(data, options)), data
+        windows = WindowedData(files, config, devices=options.devices)
+        return WindowedTraining(net, config, _steps(windows)), windows
+    data = PreparedData(files, config, devices=options.devices)
+    return CompactTraining(net, config, _steps(data)), data
 
 
 def _make_paper(
@@ -202,9 +207,10 @@ def _make_paper(
         datasets,
         config,
         workers=options.workers,
+        devices=options.devices,
         incomplete=options.incomplete,
     )
-    steps = _steps(data, options)
+    steps = _steps(data)
     return PaperTraining(net, config, steps, data.input_mean()), data
 
 
@@ -256,9 +262,9 @@ def _fit(
             raise KeyboardInterrupt from None
 
 
-def _steps(data: TrainingData, options: RunOptions) -> int:
-    """Returns the optimizer's; devices share the items of an epoch."""
-    return data.epochs * (data.steps_per_epoch // options.devices)
+def _steps(data: TrainingData) -> int:
+    """Returns the optimizer's, in all."""
+    return data.epochs * data.steps_per_epoch
 
 
 def _open_run(
@@ -323,8 +329,8 @@ def _trainer(
         enable_model_summary=False,
         log_every_n_steps=max(1, min(_LOG_EVERY, steps // _FEWEST_LOGGED)),
         num_sanity_val_steps=0,
-        # Windows are shared out by their size.
-        use_distributed_sampler=config.architecture != "windowed",
+        # The data share themselves out.
+        use_distributed_sampler=False,
     )
 
 

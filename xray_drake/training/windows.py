@@ -1,7 +1,9 @@
 """Trains the part of a ``WindowedNet`` that looks at windows."""
 
+import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, count, islice
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +16,11 @@ from xray_drake.occupancy.networks.window import Window, target_window
 from xray_drake.occupancy.networks.windowed import WindowedNet
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import (
-    PassSampler,
     PreparedItems,
     TrainingData,
     item_tensors,
     open_items,
+    steps_per_epoch,
 )
 from xray_drake.training.items import Item, pack, unpack
 from xray_drake.training.module import GeometryTraining
@@ -76,11 +78,14 @@ class WindowItems(Dataset[WindowBatch]):
 class WindowSampler(Sampler[list[int]]):
     """Batches of windows of one size, shared among devices.
 
-    Goes through the items in the order of a :class:`PassSampler`; a batch is
-    complete when so many of a size have come. An epoch has the same number of
-    batches as it would have of whole images; which they are depends on the
-    seed and the epoch's number alone. In each step all devices have windows of
-    the same size.
+    Goes through all windows again and again. The last batch of a size in a
+    pass may be a small one, so that windows of rare sizes are seen as often as
+    others. An epoch has a number of batches; which they are depends on the
+    seed and the epoch's number alone. In each step all devices have as many
+    windows of the same size; where there are too few, some have the same.
+
+    Attributes:
+        steps_per_pass: batches of each device in a pass.
     """
 
     def __init__(
@@ -99,13 +104,15 @@ class WindowSampler(Sampler[list[int]]):
             rank: of this device.
             devices: how many there are.
         """
-        self._sides = sides
-        self._size = config.batch_size
-        self._steps = config.items_per_epoch // config.batch_size // devices
+        self._groups = [np.array(group) for group in _by_size(sides)]
+        self._together = config.batch_size * devices
+        self._steps = steps_per_epoch(config, devices)
         self._rank, self._devices = rank, devices
-        self._items = PassSampler(len(sides), len(sides), config.seed)
-        self._per_epoch = config.items_per_epoch
+        self._seed = config.seed
         self._epoch = 0
+        self.steps_per_pass = sum(
+            math.ceil(len(group) / self._together) for group in self._groups
+        )
         # The trainer tells a batch sampler's "sampler" its epoch.
         self.sampler = self
 
@@ -117,40 +124,51 @@ class WindowSampler(Sampler[list[int]]):
         return self._steps
 
     def __iter__(self) -> Iterator[list[int]]:
-        together = self._size * self._devices
-        waiting: dict[tuple[int, int], list[int]] = defaultdict(list)
-        begin = self._rank * self._size
-        steps = 0
-        for index in self._order():
-            if steps == self._steps:
-                return
-            group = waiting[self._sides[index]]
-            group.append(index)
-            if len(group) == together:
-                yield group[begin : begin + self._size]
-                group.clear()
-                steps += 1
+        number, skipped = divmod(self._epoch * self._steps, self.steps_per_pass)
+        batches = chain.from_iterable(map(self._pass, count(number)))
+        for batch in islice(batches, skipped, skipped + self._steps):
+            each = math.ceil(len(batch) / self._devices)
+            shared = np.resize(batch, each * self._devices)  # repeats
+            yield shared[self._rank :: self._devices].tolist()
 
-    def _order(self) -> Iterator[int]:
-        """From where the epoch begins, without an end."""
-        number, skipped = divmod(
-            self._epoch * self._per_epoch, len(self._sides)
-        )
-        while True:
-            self._items.set_epoch(number)
-            yield from list(self._items)[skipped:]
-            number, skipped = number + 1, 0
+    def _pass(self, number: int) -> list[np.ndarray]:
+        """Returns the batches of all devices, in a pass."""
+        rng = np.random.default_rng([self._seed, number])
+        batches: list[np.ndarray] = []
+        for group in self._groups:
+            order = rng.permutation(group)
+            cuts = range(self._together, len(order), self._together)
+            batches += np.split(order, cuts)
+        return [batches[i] for i in rng.permutation(len(batches))]
+
+
+def _by_size(
+    sides: Sequence[tuple[int, int]], chosen: Iterable[int] | None = None
+) -> list[list[int]]:
+    """Sorts windows by their size.
+
+    Args:
+        sides: of all.
+        chosen: indices of those that are wanted; by default all.
+    """
+    groups: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for index in range(len(sides)) if chosen is None else chosen:
+        groups[sides[index]].append(index)
+    return list(groups.values())
 
 
 class WindowedData(TrainingData):
     """Batches of windows of prepared files; see :data:`WindowBatch`."""
 
-    def __init__(self, files: Sequence[Path], config: TrainConfig) -> None:
+    def __init__(
+        self, files: Sequence[Path], config: TrainConfig, *, devices: int = 1
+    ) -> None:
         """Opens the files and cuts out all windows.
 
         Args:
             files: of :func:`xray_drake.training.prepare.prepare`.
             config: chooses items and sizes of batches.
+            devices: that share the windows.
 
         Raises:
             TrainingError: nothing to train on, or to validate on.
@@ -164,39 +182,39 @@ class WindowedData(TrainingData):
             config,
             num_images=self._train.num_real + self._validation.num_real,
             workers=0,
+            devices=devices,
         )
+
+    @property
+    def epochs(self) -> int:
+        """The trainer's epochs: parts of passes."""
+        total = self._config.passes * self._sampler().steps_per_pass
+        return max(1, round(total / self.steps_per_epoch))
 
     def train_dataloader(self) -> DataLoader:
         """Returns shuffled batches, this device's."""
-        rank, devices = self._place()
-        sampler = WindowSampler(
-            self._train.sides, self._config, rank=rank, devices=devices
-        )
+        sampler = self._sampler()
         sampler.set_epoch(self._epochs_done())
         return DataLoader(self._train, batch_sampler=sampler)
 
     def val_dataloader(self) -> DataLoader:
         """Returns this device's share of all items that are held out."""
-        rank, devices = self._place()
-        groups: dict[tuple[int, int], list[int]] = defaultdict(list)
-        for index, sides in enumerate(self._validation.sides):
-            groups[sides].append(index)
+        share = range(self._rank(), self.num_validation, self._devices)
         size = self._config.batch_size
         batches = [
             group[i : i + size]
-            for group in groups.values()
+            for group in _by_size(self._validation.sides, share)
             for i in range(0, len(group), size)
         ]
-        return DataLoader(
-            self._validation, batch_sampler=batches[rank::devices]
-        )
+        return DataLoader(self._validation, batch_sampler=batches)
 
-    def _place(self) -> tuple[int, int]:
-        """This device's number, and of how many."""
-        trainer = self.trainer
-        if trainer is None:
-            return 0, 1
-        return trainer.global_rank, trainer.world_size
+    def _sampler(self) -> WindowSampler:
+        return WindowSampler(
+            self._train.sides,
+            self._config,
+            rank=self._rank(),
+            devices=self._devices,
+        )
 
 
 class WindowedTraining(GeometryTraining):
