@@ -281,3 +281,10 @@ def test_wrong_numbers_are_named(wrong: dict[str, float]) -> None:
     config = ExactInferenceConfig(label=replace(ExpectedLabelConfig(), **wrong))
     with pytest.raises(ValueError, match=r"exact\.label needs positive"):
         ExpectedLabel(target_model("box_1to1"), config)
+
+
+def test_the_labels_orientations_must_be_among_those_searched() -> None:
+    """The label's are 22.5° apart: steps of 15° do not add up to that."""
+    config = ExactInferenceConfig(rotations=24)
+    with pytest.raises(ValueError, match=r"exact\.rotations is 24.* 16 orient"):
+        ExpectedLabel(target_model("box_1to1"), config)

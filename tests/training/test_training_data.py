@@ -212,7 +212,7 @@ def test_what_is_asked_for_may_be_nowhere() -> None:
 
 
 @pytest.mark.parametrize(
-    ("passes", "epochs_"), [(0.1, 1), (1.0, 2), (2.5, 5), (3.2, 6)]
+    ("passes", "epochs_"), [(0.1, 1), (1.0, 2), (2.5, 6), (3.2, 7)]
 )
 def test_epochs_are_parts_of_passes(passes: float, epochs_: int) -> None:
     config = TrainConfig(passes=passes, items_per_epoch=10, batch_size=3)
@@ -223,6 +223,9 @@ def test_epochs_are_parts_of_passes(passes: float, epochs_: int) -> None:
     loader = data.train_dataloader()
     batches = list(loader)
     assert len(batches) == data.steps_per_epoch
+    # What makes no whole batch is the next epoch's.
+    assert loader.sampler is not None
+    assert len(loader.sampler) == 9  # type: ignore[arg-type]
     assert all(len(tensor) == 3 for batch in batches for tensor in batch)
     validation = list(data.val_dataloader())
     assert sum(len(real) for *_, real in validation) == 20

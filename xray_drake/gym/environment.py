@@ -31,6 +31,7 @@ from xray_drake.messages import (
     OccupancyDistribution,
     Outcome,
 )
+from xray_drake.policy.system import PERIOD
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import SearchMonitor, attach_monitor
@@ -38,10 +39,6 @@ from xray_drake.search.rollout import LONGEST_ACTION
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario, load_scenario
 from xray_drake.station.start import target_view
-
-_SLICE = 0.05
-"""s of simulated time between looks; the policy's period, so that the heap is
-seen at the moment at which the policy decides."""
 
 _FIRST_SEED = 10_000
 """Seeds below are kept for acceptance and reports; a reset without a seed does
@@ -179,7 +176,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         self.metadata = copy.deepcopy(self.metadata)  # type: ignore[misc]
         super().__init__(
             self._make_simulator,
-            time_step=_SLICE,
+            time_step=PERIOD,
             action_space=spaces.Discrete(num_actions),
             observation_space=spaces.Dict(images),
             reward=lambda system, context: self._rewards[-1],
@@ -342,11 +339,15 @@ class MechanicalSearchEnv(DrakeGymEnv):
         return simulator
 
     def _advance(self, number: int) -> None:
-        """Advances until an action has ended."""
+        """Advances until an action has ended.
+
+        It looks as often as the policy, so that the heap is seen at the moment
+        at which the policy decides.
+        """
         record = self.monitor.record
-        for _ in range(int(LONGEST_ACTION / _SLICE)):
+        for _ in range(int(LONGEST_ACTION / PERIOD)):
             self._slice += 1
-            self.simulator.AdvanceTo(self._slice * _SLICE)
+            self.simulator.AdvanceTo(self._slice * PERIOD)
             done = len(record.actions) == number and (
                 record.actions[-1].outcome is not Outcome.NONE
             )

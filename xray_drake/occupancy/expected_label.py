@@ -55,7 +55,8 @@ class ExpectedLabel(ExactInference):
             config: the numbers.
 
         Raises:
-            ValueError: see :class:`ExactInference`; or no pose shall count.
+            ValueError: see :class:`ExactInference`; or no pose shall count; or
+                the label's orientations are not among those searched.
         """
         config = config or ExactInferenceConfig()
         numbers = config.label
@@ -68,6 +69,13 @@ class ExpectedLabel(ExactInference):
             raise ValueError(
                 "exact.label needs positive pixels, spread, slack, peak and "
                 f"most_poses, and no negative tolerance, not {numbers}"
+            )
+        turns = LabelConfig().rotations
+        if config.rotations % turns:
+            raise ValueError(
+                f"exact.rotations is {config.rotations}: the label has "
+                f'{turns} orientations, so "expected" needs a multiple of '
+                "that"
             )
         # The label's candidates of a hidden target show no pixel.
         super().__init__(target, replace(config, blank_tolerance=0.0))

@@ -24,6 +24,7 @@ from xray_drake.messages import (
 )
 from xray_drake.policy.memory import Belief, TargetMemory
 from xray_drake.policy.shifts import Look
+from xray_drake.policy.system import PERIOD
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ class SearchMemory(CollectableLeafSystem):
         memory: TargetMemory,
         width: int = 512,
         height: int = 384,
-        period: float = 0.05,
+        period: float = PERIOD,
     ) -> None:
         """Declares the ports.
 

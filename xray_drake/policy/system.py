@@ -50,6 +50,9 @@ from xray_drake.policy.ranking import (
 )
 from xray_drake.seeding import stream
 
+PERIOD = 0.05
+"""How often policy and memory check for an idle gripper, s."""
+
 
 @dataclass(frozen=True, eq=False)
 class Decision(Message):
@@ -144,7 +147,7 @@ class SearchPolicy(CollectableLeafSystem):
         foresight: Foresight | None = None,
         truth: bool = False,
         seed: int = 0,
-        period: float = 0.05,
+        period: float = PERIOD,
     ) -> None:
         """Builds the policy.
 

@@ -194,20 +194,25 @@ class TrainingData(lightning.LightningDataModule):
     def epochs(self) -> int:
         """The trainer's epochs: parts of passes."""
         total = self._config.passes * self.num_train
-        return max(1, round(total / self._config.items_per_epoch))
+        return max(1, round(total / self._items_per_epoch))
 
     @property
     def steps_per_epoch(self) -> int:
         """The optimizer's steps in one of these."""
         return steps_per_epoch(self._config, self._devices)
 
+    @property
+    def _items_per_epoch(self) -> int:
+        """Those of whole batches: none is passed over."""
+        together = self._config.batch_size * self._devices
+        return together * self.steps_per_epoch
+
     def train_dataloader(self) -> DataLoader:
         """Returns shuffled batches, this device's."""
-        config = self._config
         sampler = PassSampler(
             self.num_train,
-            config.items_per_epoch,
-            config.seed,
+            self._items_per_epoch,
+            self._config.seed,
             rank=self._rank(),
             devices=self._devices,
         )
