@@ -34,6 +34,7 @@ def test_options_replace_fields_of_the_scenario() -> None:
         policy="oracle",
         execution="contact",
         carrier="arm",
+        dtype="bfloat16",
     )
     scenario = configure("demo", said)
     assert scenario.scene.target == "cube"
@@ -42,6 +43,7 @@ def test_options_replace_fields_of_the_scenario() -> None:
     assert scenario.policy.name == "oracle"
     assert scenario.gripper.execution == "contact"
     assert scenario.gripper.carrier == "arm"
+    assert scenario.perception.dtype == "bfloat16"
 
 
 def test_a_number_that_was_asked_for_is_not_random() -> None:

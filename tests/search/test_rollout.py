@@ -289,15 +289,23 @@ def test_the_same_scenario_gives_the_same_record(
     assert stripped(run_search(other)) == stripped(found)
 
 
-def test_the_record_says_what_the_network_computes_in(
+def test_a_network_computes_in_what_the_scenario_and_the_record_say(
     tiny_diagram: SearchDiagram, tiny_scenario: Scenario, tiny_heap: Heap
 ) -> None:
-    tiny_scenario.perception.occupancy = "learned"
-    tiny_scenario.perception.dtype = "bfloat16"
-    learned = build_search_diagram(tiny_scenario, heap=tiny_heap)
-    for diagram, dtype in ((tiny_diagram, ""), (learned, "bfloat16")):
+    def recorded(diagram: SearchDiagram) -> str:
         monitor = attach_monitor(Simulator(diagram), diagram)
-        assert monitor.record.to_dict()["dtype"] == dtype
+        return monitor.record.to_dict()["dtype"]
+
+    assert recorded(tiny_diagram) == ""  # there is no network
+    tiny_scenario.perception.occupancy = "learned"
+    answers = []
+    for dtype in ("float32", "bfloat16"):
+        tiny_scenario.perception.dtype = dtype
+        diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
+        assert recorded(diagram) == dtype
+        port = diagram.GetOutputPort("occupancy_inference.occupancy")
+        answers.append(port.Eval(diagram.CreateDefaultContext()).data)
+    assert 0 < np.abs(answers[0] - answers[1]).max() < 0.3
 
 
 def test_a_plain_simulator_with_the_monitor_ends_too(

@@ -266,6 +266,10 @@ def test_something_else_at_top_level(text: str, kind: str) -> None:
             ["execution is contact", "discrete_contact_approximation"],
         ),
         ("plant_config: {contact_model: soft}", ["contact_model", "'soft'"]),
+        (
+            "perception: {dtype: float16}",
+            ["perception.dtype", "'float16'", "float32, bfloat16"],
+        ),
     ],
 )
 def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
@@ -284,6 +288,10 @@ def test_a_choice_that_does_not_exist(text: str, said: list[str]) -> None:
         ("scene: {num_objects: -2}", ["scene.num_objects", "-2"]),
         ("horizon: 0", ["horizon is 0: it must be from 1"]),
         ("seed: -1", ["seed is -1: it must be from 0"]),
+        (
+            "perception: {occupancy: expected, exact: {rotations: 24}}",
+            ["perception.exact.rotations is 24", "multiple"],
+        ),
         pytest.param(
             "plant_config: {time_step: -1}",
             ["plant_config.time_step"],

@@ -210,7 +210,8 @@ def test_the_card_says_what_was_trained_on_what(
     assert held_out <= card.data["items held out"] <= 2 * held_out
     assert HEAPS < out_of <= 2 * HEAPS
     assert card.training["seed"] == 0
-    assert card.training["lightning"] == version("lightning")
+    versions = card.training["provenance"]["versions"]
+    assert versions["lightning"] == version("lightning")
     assert card.training["optimizer steps"] == STEPS
     assert card.training["prepare"]["virtual"] == 1
     (figures,) = card.figures.values()

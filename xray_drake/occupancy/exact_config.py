@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from xray_drake.configuration import bin_floor, choice, count, number
+from xray_drake.configuration import bin_floor, check, choice, count, number
+from xray_drake.occupancy.label_config import LabelConfig
 
 POSES = ("flat", "resting")
 
@@ -79,3 +80,22 @@ class ExactInferenceConfig:
     floor_height: float = number(0.002, "[0, 0.1]")
     # Numbers of "expected", which guesses the paper's label.
     label: ExpectedLabelConfig = field(default_factory=ExpectedLabelConfig)
+
+
+def check_expected(config: ExactInferenceConfig) -> None:
+    """Refuses what the label cannot be guessed with.
+
+    Args:
+        config: for ``ExpectedLabel``.
+
+    Raises:
+        ValueError: a number is out of range, or the label's orientations are
+            not among those that are searched.
+    """
+    check(config, "exact")
+    turns = LabelConfig().rotations
+    if config.rotations % turns:
+        raise ValueError(
+            f"exact.rotations is {config.rotations}: the label has {turns} "
+            'orientations, so "expected" needs a multiple of that'
+        )

@@ -10,6 +10,7 @@ from xray_drake.occupancy.exact import ExactInference
 from xray_drake.occupancy.exact_config import (
     ExactInferenceConfig,
     ExpectedLabelConfig,
+    check_expected,
 )
 from xray_drake.occupancy.label_config import LabelConfig
 from xray_drake.occupancy.label_mixture import best_answer, label_histogram
@@ -55,28 +56,11 @@ class ExpectedLabel(ExactInference):
             config: the numbers.
 
         Raises:
-            ValueError: see :class:`ExactInference`; or no pose shall count; or
-                the label's orientations are not among those searched.
+            ValueError: see :class:`ExactInference` and
+                :func:`~xray_drake.occupancy.exact_config.check_expected`.
         """
         config = config or ExactInferenceConfig()
-        numbers = config.label
-        if (
-            numbers.most_poses < 1
-            or min(numbers.pixels, numbers.spread, numbers.peak) <= 0
-            or numbers.slack <= 0
-            or numbers.tolerance < 0
-        ):
-            raise ValueError(
-                "exact.label needs positive pixels, spread, slack, peak and "
-                f"most_poses, and no negative tolerance, not {numbers}"
-            )
-        turns = LabelConfig().rotations
-        if config.rotations % turns:
-            raise ValueError(
-                f"exact.rotations is {config.rotations}: the label has "
-                f'{turns} orientations, so "expected" needs a multiple of '
-                "that"
-            )
+        check_expected(config)
         # The label's candidates of a hidden target show no pixel.
         super().__init__(target, replace(config, blank_tolerance=0.0))
 

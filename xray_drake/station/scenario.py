@@ -54,6 +54,7 @@ from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.exact import ExactInferenceConfig
+from xray_drake.occupancy.exact_config import check_expected
 from xray_drake.occupancy.learned import default_weights
 from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.networks.weights import WeightsError, read_card
@@ -403,6 +404,11 @@ def check_scenario(
             raise ScenarioError(
                 f"{source}: {low} is {least}: it must be at most {most}, {high}"
             )
+    if scenario.perception.occupancy == "expected":
+        try:
+            check_expected(scenario.perception.exact)
+        except ValueError as error:
+            raise ScenarioError(f"{source}: perception.{error}") from error
     if scenario.scene.packaged_share > 0 and not scenario.scene.packaged:
         raise ScenarioError(
             f"{source}: scene.packaged_share needs scene.packaged: true"
