@@ -164,6 +164,30 @@ def test_settings_that_a_variant_does_not_use_may_differ(
     assert len(collect([one, two]).records) == 4
 
 
+def change_floor(scenario: Scenario) -> None:
+    scenario.perception.exact.floor = [-0.2, 0.2, -0.2, 0.2]
+
+
+def test_every_variant_is_told_the_floor(tmp_path: Path) -> None:
+    rollout = record("xray", 1, occupancy="learned")
+    one = write_folder(tmp_path / "one", [rollout])
+    two = write_folder(tmp_path / "two", [rollout], demo(change_floor))
+    with pytest.raises(ValueError, match=r"both hold xray \(learned\)"):
+        collect([one, two])
+
+
+def test_the_scenario_beside_the_rollouts_holds_in_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def change(scenario: Scenario) -> None:
+        scenario.scene.meshes = ["in"]
+
+    text = shared_scenario(demo(change))
+    assert parse_scenario(text, "it").scene.meshes == [f"{tmp_path}/in"]
+
+
 def test_targets_come_together(tmp_path: Path) -> None:
     one = write_folder(tmp_path / "one", [record("xray", 1)])
     scenario = demo()

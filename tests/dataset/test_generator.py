@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pytest import MonkeyPatch
@@ -37,6 +39,17 @@ def samples() -> list:
     manifest = plan(snapshots=2, targets=("lid", "flute"), color=True)
     maker = SampleMaker(manifest, "train")
     return maker.make(0) + maker.make(1)
+
+
+def test_a_dataset_holds_absolute_paths(
+    tmp_path: Path, monkeypatch: MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenario = small_scenario()
+    scenario.scene.meshes = ["in"]
+    manifest = plan_dataset(scenario, splits={"train": 4})
+    assert manifest.meshes == (f"{tmp_path}/in",)
+    assert f"{tmp_path}/in" in manifest.scenario
 
 
 def test_each_state_is_seen_from_each_view(samples: list) -> None:

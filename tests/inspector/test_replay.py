@@ -18,8 +18,11 @@ from xray_drake.inspector.replay import (
 )
 from xray_drake.messages import Outcome
 from xray_drake.scene.heap import Heap
+from xray_drake.search.diagram import build_search_diagram
+from xray_drake.search.monitor import SearchMonitor
 from xray_drake.search.record import write_record
 from xray_drake.station.scenario import dump_scenario
+from xray_drake.testing.tiny import make_tiny_scenario
 
 Write = Callable[..., Path]
 
@@ -97,6 +100,26 @@ def test_which_of_a_benchmark(record: dict[str, Any], written: Write) -> None:
     ):
         with pytest.raises(ValueError, match=words):
             load_rollout(path, **choice)
+
+
+def test_paths_of_a_record_are_relative_to_it(
+    record: dict[str, Any], written: Write
+) -> None:
+    record["scenario"] = "scene: {meshes: [in, /out]}"
+    path = written(record)
+    found = load_rollout(path).scenario.scene.meshes
+    assert found == [f"{path.parent}/in", "/out"]
+
+
+def test_a_record_holds_absolute_paths(
+    tiny_heap: Heap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenario = make_tiny_scenario()
+    scenario.scene.meshes = ["in"]
+    diagram = build_search_diagram(scenario, heap=tiny_heap)
+    record = SearchMonitor(diagram).record
+    assert f"{tmp_path}/in" in record.scenario
 
 
 def test_an_old_benchmark_has_its_scenario_beside_it(

@@ -366,8 +366,19 @@ def test_images_of_wrong_shapes(
 ) -> None:
     inference = LearnedInference(Mirror(), card(), SIZE)
     with pytest.raises(ValueError, match=words) as error:
-        inference.infer(np.ones(depth), np.zeros(mask, bool), camera)
+        inference.infer(np.full(depth, 0.7), np.zeros(mask, bool), camera)
     assert "\n" not in str(error.value)
+
+
+def test_a_network_is_told_the_floor_of_the_configuration() -> None:
+    depth, mask = scene()
+    told = []
+    for floor in (None, [-0.05, 0.05, -0.04, 0.04]):
+        net = Mirror()
+        inference = LearnedInference(net, card(), SIZE, floor=floor)
+        inference.infer(depth, mask, CAMERA)
+        told.append(net.coarse[0, COARSE.index("floor")])
+    assert 0 < told[1].sum() < told[0].sum()
 
 
 def test_only_some_networks_have_a_posterior() -> None:

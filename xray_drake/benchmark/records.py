@@ -239,7 +239,13 @@ def _settings(scenario: Scenario, variant: Variant) -> str:
     """Returns the settings of policy and perception that a variant uses."""
     defaults, perception = Scenario(), scenario.perception
     if variant.occupancy not in WITHOUT_NETWORK:
-        perception = replace(perception, exact=defaults.perception.exact)
+        # Memory and networks are told the floor.
+        perception = replace(
+            perception,
+            exact=replace(
+                defaults.perception.exact, floor=perception.exact.floor
+            ),
+        )
     if variant.occupancy in ("", *WITHOUT_NETWORK):
         perception = replace(
             perception,

@@ -10,7 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.readings import has_reading, nearest_values
+from xray_drake.geometry.readings import (
+    depth_readings,
+    has_reading,
+    nearest_values,
+)
 
 _MARGIN = 6
 """Pixels around the object that belong to its part of the image."""
@@ -119,7 +123,8 @@ def observe(
         The surface, or None where there are too few readings.
 
     Raises:
-        ValueError: images of another shape than the camera's.
+        ValueError: images of another shape than the camera's, or depths that
+            are not in metres.
     """
     for name, image in (("depth image", depth), ("mask", mask)):
         if image.shape != camera.shape:
@@ -128,7 +133,7 @@ def observe(
                 f"{camera.shape}"
             )
     mask = np.asarray(mask, bool)
-    depth = np.asarray(depth, np.float32)
+    depth = depth_readings(depth, camera)
     if np.count_nonzero(mask & has_reading(depth)) < max(min_pixels, 1):
         return None
     whole = fill_gaps(fill_mask(depth, mask))

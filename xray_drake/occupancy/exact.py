@@ -58,9 +58,6 @@ class ExactInference(PoseCounting):
             ValueError: no rotation, or a cell or step that is not positive.
         """
         config = config or ExactInferenceConfig()
-        if floor is None:
-            x_low, x_high, y_low, y_high = config.floor
-            floor = (x_low, x_high), (y_low, y_high)
         rotations = config.rotations if rotations is None else rotations
         if rotations < 1 or config.cell <= 0 or config.seen_step <= 0:
             raise ValueError(
@@ -70,7 +67,7 @@ class ExactInference(PoseCounting):
         self._target = FlatTarget(target.visual)
         super().__init__(
             config,
-            Floor(*floor),
+            Floor.of(config.floor) if floor is None else Floor(*floor),
             lowest=self._target.thickness,
             tallest=self._target.thickness,
         )

@@ -1,5 +1,6 @@
 """The bin floor as a lattice that images are warped to and from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +21,12 @@ class Floor:
 
     x: tuple[float, float]
     y: tuple[float, float]
+
+    @staticmethod
+    def of(bounds: Sequence[float]) -> "Floor":
+        """Returns the floor of a configuration: x low, high, y low, high, m."""
+        x_low, x_high, y_low, y_high = bounds
+        return Floor((x_low, x_high), (y_low, y_high))
 
     def half_planes(self, tolerance: float) -> np.ndarray:
         """Returns its sides, moved out by ``tolerance`` (m).

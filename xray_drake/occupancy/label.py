@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.readings import has_reading
+from xray_drake.geometry.readings import depth_readings, has_reading
 from xray_drake.occupancy.label_config import LabelConfig
 from xray_drake.occupancy.label_kernels import (
     Candidates,
@@ -95,9 +95,16 @@ def occupancy_label(
             that make no candidates.
     """
     config = config or LabelConfig()
+    images = {
+        "target's depth image": np.asarray(target_depth),
+        "scene's depth image": np.asarray(scene_depth),
+    }
+    check_shapes(images, camera)
     # Copies: to numba, an array that may not be written is another type.
-    target = np.array(target_depth, dtype=np.float32, order="C")
-    scene = np.array(scene_depth, dtype=np.float32, order="C")
+    target, scene = (
+        np.array(depth_readings(image, camera), order="C")
+        for image in images.values()
+    )
     _check(target, scene, observed, camera, config)
     amodal = has_reading(target)
     if not amodal.any():
@@ -182,7 +189,6 @@ def _check(
     config: LabelConfig,
 ) -> None:
     depths = {"target's depth image": target, "scene's depth image": scene}
-    check_shapes(depths, camera)
     if observed is not None:
         check_shapes({"observed modal mask": np.asarray(observed)}, camera)
     for name, image in depths.items():

@@ -1,5 +1,6 @@
 """Learned inference of the occupancy distribution, from a file of weights."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -19,6 +20,8 @@ from xray_drake.occupancy.aspect import (
     rescale_input,
     rescale_output,
 )
+from xray_drake.occupancy.floor_grid import Floor
+from xray_drake.occupancy.label_config import LabelConfig
 from xray_drake.occupancy.networks.augmented_depth import augmented_depth
 from xray_drake.occupancy.networks.build import build_network, channels_last
 from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
@@ -68,6 +71,7 @@ class LearnedInference:
         output: Output = "occupancy",
         scaling: bool = True,
         dtype: str = DTYPES[0],
+        floor: Sequence[float] | None = None,
     ) -> None:
         """Prepares a network for a target.
 
@@ -83,6 +87,8 @@ class LearnedInference:
             dtype: what it computes in, one of ``DTYPES``. bfloat16 is faster
                 on processors that have instructions for it, and changes the
                 shipped network's answers by up to 0.18; not "fcn_resnet50".
+            floor: inside of the bin's: x low, x high, y low, y high, m; by
+                default that of the labels.
 
         Raises:
             ValueError: no such output or type, or a network that has not got
@@ -101,6 +107,7 @@ class LearnedInference:
         self.card = card
         self.output = output
         self._size = oriented_size(target_size)
+        self._floor = Floor.of(floor or LabelConfig().floor)
         self._scale = 1.0
         if card.box_size is not None:
             self._scale = box_scale(self._size) if scaling else 1.0
@@ -139,9 +146,8 @@ class LearnedInference:
                 that the network cannot take, or a depth image without any
                 reading.
         """
-        depth = np.asarray(depth, dtype=np.float32)
         mask = np.asarray(target_mask, dtype=bool)
-        check_observation(depth, mask, camera)
+        depth = check_observation(depth, mask, camera)
         if camera.height % SIZE_STEP or camera.width % SIZE_STEP:
             raise ValueError(
                 f"a network takes images whose sides are multiples of "
@@ -197,7 +203,9 @@ class LearnedInference:
         size: np.ndarray,
     ) -> np.ndarray:
         """What a network answers to images, in their shape."""
-        images = geometry_input(depth, mask, camera, float(self._size[2]))
+        images = geometry_input(
+            depth, mask, camera, float(self._size[2]), floor=self._floor
+        )
         with torch.inference_mode():
             logits = net(
                 *(
@@ -230,6 +238,7 @@ def load_inference(
     output: Output = "occupancy",
     scaling: bool = True,
     dtype: str = DTYPES[0],
+    floor: Sequence[float] | None = None,
 ) -> LearnedInference:
     """Reads a network from disk and prepares it for a target.
 
@@ -240,6 +249,7 @@ def load_inference(
         output: see :class:`LearnedInference`.
         scaling: see :class:`LearnedInference`.
         dtype: see :class:`LearnedInference`.
+        floor: see :class:`LearnedInference`.
 
     Raises:
         WeightsError: there are no weights, or they are no network's of this
@@ -251,7 +261,13 @@ def load_inference(
     changed = path.stat().st_mtime_ns if path.is_file() else 0
     net, card = _load(path.resolve(), changed)
     return LearnedInference(
-        net, card, target_size, output=output, scaling=scaling, dtype=dtype
+        net,
+        card,
+        target_size,
+        output=output,
+        scaling=scaling,
+        dtype=dtype,
+        floor=floor,
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.readings import has_reading
+from xray_drake.geometry.readings import depth_readings, has_reading
 
 
 def check_shapes(
@@ -30,7 +30,7 @@ def check_shapes(
 
 def check_observation(
     depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
-) -> None:
+) -> np.ndarray:
     """Refuses what nothing can be inferred from.
 
     Args:
@@ -38,13 +38,20 @@ def check_observation(
         mask: (H, W) bool.
         camera: of both.
 
+    Returns:
+        (H, W) float32: the depth image's readings, see
+        :func:`~xray_drake.geometry.readings.depth_readings`.
+
     Raises:
         ValueError: images of another shape, or a depth image without any
-            reading.
+            reading, of integers, or in another unit.
     """
+    depth = np.asarray(depth)
     check_shapes({"depth image": depth, "target mask": mask}, camera)
+    depth = depth_readings(depth, camera)
     if not has_reading(depth).any():
         raise ValueError(
             "the depth image has no reading at all (every pixel is 0, inf or "
             "NaN); check the sensor's range and that it has rendered"
         )
+    return depth

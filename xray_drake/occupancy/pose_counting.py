@@ -68,9 +68,8 @@ class PoseCounting(ABC):
             ValueError: an array of another shape, a depth image without any
                 reading, or a camera that is not above the target.
         """
-        depth = np.asarray(depth, dtype=np.float32)
         mask = np.asarray(target_mask, dtype=bool)
-        check_observation(depth, mask, camera)
+        depth = check_observation(depth, mask, camera)
         if camera.X_WC[2, 3] <= self._tallest:
             raise ValueError(
                 f"the camera must be above the target, not at z = "

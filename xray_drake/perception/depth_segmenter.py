@@ -15,7 +15,11 @@ from scipy import ndimage
 
 from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.readings import has_reading, nearest_values
+from xray_drake.geometry.readings import (
+    depth_readings,
+    has_reading,
+    nearest_values,
+)
 from xray_drake.messages import InstanceMasks
 from xray_drake.perception.concavity import concavity
 from xray_drake.perception.region_graph import RegionGraph
@@ -75,7 +79,8 @@ def segment_depth(
         Instances called ``segment_0``, ``segment_1``, … from the largest on.
 
     Raises:
-        ValueError: an image that is not the camera's.
+        ValueError: an image that is not the camera's, or whose depths are not
+            in metres.
     """
     for name, image in (("depth image", depth), ("target mask", target)):
         if image is not None and image.shape != camera.shape:
@@ -86,7 +91,7 @@ def segment_depth(
     config = config or DepthSegmenterConfig()
     blank = np.zeros(camera.shape, bool)
     target = blank if target is None else np.asarray(target, bool)
-    filled, known = _filled(depth, config.fill_radius)
+    filled, known = _filled(depth_readings(depth, camera), config.fill_radius)
     points = camera.unproject(filled)
     objects = known & _in_bin(points, config) & ~target
     labels = np.full(camera.shape, -1, np.int32)

@@ -12,6 +12,7 @@ import numpy as np
 
 from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import depth_readings
 from xray_drake.messages import Message
 from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.observation import check_shapes
@@ -141,7 +142,9 @@ class TargetMemory:
         config = self.config
         scale = camera.floor_scale
         reach = _REACH * scale * float(np.hypot(*self._size[:2]))
-        heights = observed_heights(look.depth, camera, 0.0)
+        heights = observed_heights(
+            depth_readings(look.depth, camera), camera, 0.0
+        )
         low = (heights > -np.inf) & (heights < config.low * self._size[2])
         low &= ~look.target
         floor = self._floor(camera)

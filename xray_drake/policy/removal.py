@@ -5,6 +5,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.readings import depth_readings
 from xray_drake.occupancy.floor_grid import observed_heights
 
 _STEP = 0.001
@@ -28,7 +29,7 @@ class Removal:
             depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
             camera: the camera of it.
         """
-        self._depth = np.asarray(depth, dtype=np.float32)
+        self._depth = depth_readings(depth, camera)
         self.heights = observed_heights(self._depth, camera, 0.0)
         self._camera = camera
 

@@ -327,6 +327,7 @@ def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
         if perception.occupancy == "posterior"
         else "occupancy",
         dtype=perception.dtype,
+        floor=perception.exact.floor,
     )
 
 

@@ -27,8 +27,7 @@ QUARTER = 4
 SIZE_FEATURES = ("length", "width", "thickness", "hidden", "visible")
 """Of :func:`size_features`."""
 
-_X_LOW, _X_HIGH, _Y_LOW, _Y_HIGH = LabelConfig().floor
-_FLOOR = Floor((_X_LOW, _X_HIGH), (_Y_LOW, _Y_HIGH))
+_FLOOR = Floor.of(LabelConfig().floor)
 
 _COVER_WIDTH = 0.002
 """m above and below the target's top, over which "cover" goes from 0 to 1."""
@@ -80,6 +79,8 @@ def geometry_input(
     mask: np.ndarray,
     camera: PinholeCamera,
     thickness: float,
+    *,
+    floor: Floor = _FLOOR,
 ) -> GeometryInput:
     """Returns the compact network's images.
 
@@ -88,6 +89,7 @@ def geometry_input(
         mask: (H, W) bool, the target's visible pixels; blank where hidden.
         camera: of both; H and W are multiples of 4.
         thickness: of the target, m.
+        floor: inside of the bin's; by default that of the labels.
     """
     heights = heights_above_floor(depth, camera)
     reading = ~np.isnan(heights)
@@ -107,7 +109,7 @@ def geometry_input(
     heights *= np.float32(1 / (_HIGHEST - _LOWEST))
     _shrunk(np.clip(heights, 0, 1, out=heights), coarse[0])
     _shrunk(reading.astype(np.float32), coarse[1])
-    coarse[2] = _on_floor(camera)
+    coarse[2] = _on_floor(camera, floor)
     return GeometryInput(fine, coarse)
 
 
@@ -158,7 +160,7 @@ def _scale(width: int) -> float:
     return _TYPICAL_PIXELS * width / 512
 
 
-def _on_floor(camera: PinholeCamera) -> np.ndarray:
+def _on_floor(camera: PinholeCamera, floor: Floor) -> np.ndarray:
     """(H/4, W/4) float32: 1 where a ray meets z = 0 within the bin."""
     middle = (QUARTER - 1) / 2
     u = QUARTER * np.arange(camera.width // QUARTER) + middle
@@ -172,7 +174,7 @@ def _on_floor(camera: PinholeCamera) -> np.ndarray:
     down = -z
     x, y = C[0] * down + C[2] * x, C[1] * down + C[2] * y
     inside = down > 0
-    for a, b, c in _FLOOR.half_planes(0.0).tolist():
+    for a, b, c in floor.half_planes(0.0).tolist():
         inside &= a * x + b * y <= c * down
     return inside.astype(np.float32)
 
