@@ -497,8 +497,7 @@ def _of_rule(rule: object) -> st.SearchStrategy:
     if isinstance(rule, Rectangle):
         side = st.tuples(st.floats(-1, 0), st.floats(0.1, 1))
         return st.tuples(side, side).map(lambda xy: [*xy[0], *xy[1]])
-    if not isinstance(rule, Interval):
-        return st.just(0.0)  # of what must be left out
+    assert isinstance(rule, Interval)
     if rule.whole:
         return st.integers(rule.low, rule.high)
     return st.floats(
@@ -698,6 +697,15 @@ def test_what_a_scenario_holds_can_be_pickled(struct: object) -> None:
         ),
         ("camera_sampling: {most_angle: 120}", "camera_sampling.most_angle is"),
         ("visualization: {publish_period: 0}", "visualization.publish_period"),
+        ("visualization: {publish_contacts: false}", "publish_contacts is Fal"),
+        (
+            "gripper: {execution: contact, parameters: {pad_width: 0.02}}",
+            "gripper.parameters.pad_width is 0.02: the gripper in the plant",
+        ),
+        (
+            "gripper: {parameters: {opening: 0.06}}",
+            "opening is 0.06",
+        ),
         (
             "gripper: {contact: {lost: 0.95}}",
             "gripper.contact.lost is 0.95: it",

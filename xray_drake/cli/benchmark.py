@@ -139,6 +139,7 @@ def _plan(options: BenchmarkOptions) -> tuple[Scenario, tuple[Variant, ...]]:
             options.scenario,
             {
                 **options.overrides,
+                "seed": options.seeds[-1],
                 "policy.name": variant.policy,
                 "perception.occupancy": variant.occupancy or occupancies[0],
             },

@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
-from xray_drake.configuration import with_paths
+from xray_drake.configuration import Interval, with_paths
 from xray_drake.dataset.check import TILTED
 from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
@@ -44,6 +44,7 @@ LABELS = ("paper", "exact")
 
 _HEAPS_PER_SPLIT = 10**7
 _HEAPS_PER_SEED = 10**8
+_SEEDS = Interval(0, 2**63 // _HEAPS_PER_SEED - 3, whole=True)
 """Heaps' seeds begin beyond those of searches and benchmarks."""
 
 _SMALLEST = 1 / 255
@@ -103,8 +104,8 @@ def plan_dataset(
         label: one of ``LABELS``.
 
     Raises:
-        ValueError: a number below 1, a target or label that does not exist,
-            or more snapshots than a small heap has.
+        ValueError: a seed out of range, a number below 1, a target or label
+            that does not exist, or more snapshots than a small heap has.
     """
     if label not in LABELS:
         raise ValueError(
@@ -113,6 +114,8 @@ def plan_dataset(
     targets = targets or (scenario.scene.target,)
     for target in targets:
         target_model(target)
+    if said := _SEEDS.broken_by(seed):
+        raise ValueError(f"the dataset's seed is {seed}: {said}")
     scenario = with_paths(scenario, Path())
     scene = scenario.scene
     random = scene.random_number

@@ -28,7 +28,7 @@ class GripperParameters:
     """
 
     # Distance of the pads when open, m.
-    opening: float = number(0.05, "(0, 0.5]")
+    opening: float = number(0.05, f"(0, {2 * FINGER_TRAVEL}]")
     # Largest normal force at each pad, N.
     force: float = number(20.0, "(0, 1000]")
     # Coulomb coefficient of pads and cup.

@@ -12,19 +12,7 @@ _ANGLE = Interval.of("(0, 180)")
 _DEPTH = Interval.of("(0, 1000]")
 _SIDE = Interval.of("[1, 8192]", whole=True)
 _CENTER = Interval(-10000, 20000)
-
-
-class _Unused:
-    """Of a field that nothing here looks at."""
-
-    def broken_by(self, value: float) -> str:
-        """Returns what is wrong with a value."""
-        if value == 0.0:
-            return ""
-        return "images have no delay here: leave it out"
-
-
-_UNUSED = _Unused()
+_SECONDS = Interval.of("[0, 3600]")
 
 CONTACT_MODELS = ("point", "hydroelastic", "hydroelastic_with_fallback")
 CONTACT_APPROXIMATIONS = ("tamsi", "sap", "similar", "lagged")
@@ -40,8 +28,8 @@ DRAKE_RULES: Rules = {
         "z_near": _DEPTH,
         "z_far": _DEPTH,
         "fps": Interval.of("(0, 10000]"),
-        "capture_offset": _UNUSED,
-        "output_delay": _UNUSED,
+        "capture_offset": _SECONDS,
+        "output_delay": _SECONDS,
     },
     "CameraConfig.FocalLength": {"x": _FOCAL, "y": _FOCAL},
     "CameraConfig.FovDegrees": {"x": _ANGLE, "y": _ANGLE},

@@ -38,6 +38,7 @@ from xray_drake.configuration import (
     choice,
     count,
     differences,
+    fields_of,
     number,
     path_field,
     path_list,
@@ -240,7 +241,8 @@ class Scenario:
     # Actions at most (the paper's H).
     horizon: int = count(10, "[1, 10000]")
     scene: SceneConfig = field(default_factory=SceneConfig)
-    # The overhead camera.
+    # The overhead camera. Its images are rendered when they are looked at:
+    # fps, rgb, depth and label say nothing here.
     camera: CameraConfig = field(default_factory=nominal_camera)
     # How cameras are drawn around it, for datasets.
     camera_sampling: CameraSampling = field(default_factory=CameraSampling)
@@ -254,7 +256,7 @@ class Scenario:
     simulator_config: SimulatorConfig = field(
         default_factory=lambda: SimulatorConfig(target_realtime_rate=0.0)
     )
-    # Meshcat's publishing; used where a Meshcat is given.
+    # Where a Meshcat is given: its publish_period, the rest is fixed.
     visualization: VisualizationConfig = field(
         default_factory=lambda: VisualizationConfig(
             publish_period=1 / 32, publish_proximity=False
@@ -398,6 +400,7 @@ def check_scenario(
     """
     with _scenario_errors():
         check(scenario, source, DRAKE_RULES)
+    _check_unused(scenario, source)
     for low, high in _IN_ORDER:
         least, most = (attrgetter(path)(scenario) for path in (low, high))
         if least > most:
@@ -461,6 +464,32 @@ _IN_ORDER = (
 """Numbers of which the first is at most the second."""
 
 
+_UNUSED = {
+    "camera": ("capture_offset", "output_delay"),
+    "visualization": tuple(
+        name
+        for name in fields_of(VisualizationConfig)
+        if name != "publish_period"
+    ),
+}
+"""Of Drake's structs, what would change a search or its pictures elsewhere."""
+
+
+def _check_unused(scenario: Scenario, source: str) -> None:
+    """Refuses what is set, but has no effect."""
+    defaults = Scenario()
+    for owner, names in _UNUSED.items():
+        given, usual = (
+            tree_of(getattr(chosen, owner)) for chosen in (scenario, defaults)
+        )
+        for name in names:
+            if given[name] != usual[name]:
+                raise ScenarioError(
+                    f"{source}: {owner}.{name} is {given[name]}, which nothing "
+                    "here looks at: leave it out"
+                )
+
+
 def _check_weights(
     perception: PerceptionConfig, camera: CameraConfig, source: str
 ) -> None:
@@ -507,6 +536,16 @@ def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
 
 def _check_contact(scenario: Scenario, source: str) -> None:
     """Checks what the gripper in the plant needs of it."""
+    for name in ("pad_width", "pad_height"):
+        path = f"gripper.parameters.{name}"
+        given, built = (
+            attrgetter(path)(chosen) for chosen in (scenario, Scenario())
+        )
+        if given != built:
+            raise ScenarioError(
+                f"{source}: gripper.execution is contact, but {path} is "
+                f"{given}: the gripper in the plant has {built}"
+            )
     config = scenario.plant_config
     for key, value, wanted in (
         (
