@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -6,7 +8,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from xray_drake.grasping import planner as module
-from xray_drake.grasping.candidates import in_groups, same_grasp
+from xray_drake.grasping.candidates import (
+    EQUAL_QUALITY,
+    by_score,
+    in_groups,
+    quality_ranks,
+    same_grasp,
+)
 from xray_drake.grasping.judgement import GRAVITY
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.grasping.planner import ModelGraspPlanner
@@ -31,6 +39,7 @@ def at(x, y, z, yaw=0.0):
 FLAT = block("flat", 0.042, 0.021, 0.005)
 PLATE = block("plate", 0.08, 0.08, 0.01)
 HEAVY = block("heavy", 0.03, 0.03, 0.03, density=16_000)
+CUBE = block("cube", 0.03, 0.03, 0.03)
 ROOF = block("roof", 0.2, 0.2, 0.01)
 
 
@@ -139,6 +148,27 @@ def test_plans_follow_from_seed_and_heap_alone():
     assert (a.width, a.quality) == (b.width, b.quality)
     other = ModelGraspPlanner([FLAT], seed=4).samples("flat")[0]
     assert not np.array_equal(first.samples("flat")[0].first, other.first)
+
+
+@pytest.mark.parametrize(
+    ("name", "X_WO"),
+    [
+        ("flat", at(0.02, 0.01, 0.0025)),
+        ("plate", at(0.05, 0, 0.005)),
+        ("cube", at(0, 0, 0.015, 0.3)),
+    ],
+)
+def test_no_plan_hangs_on_the_last_digit_of_a_pose(name, X_WO):
+    planner = ModelGraspPlanner([FLAT, PLATE, CUBE], seed=7)
+    grasp = planner.plan(name, {name: X_WO})
+    assert grasp
+    for seed in range(4):
+        other = X_WO.copy()
+        rng = np.random.default_rng(seed)
+        other[:3] += 1e-13 * rng.normal(size=(3, 4))
+        again = planner.plan(name, {name: other})
+        assert again.kind is grasp.kind
+        np.testing.assert_allclose(again.X_WG, grasp.X_WG, atol=1e-4)
 
 
 def test_grasps_and_the_cloud_that_judges_them_are_drawn_apart(monkeypatch):
@@ -312,3 +342,31 @@ def test_each_group_has_its_best_first():
     group = np.array([0, 0, 1, 0, 1])
     np.testing.assert_array_equal(in_groups(score, group), [0, 4, 1, 2, 3])
     assert len(in_groups(score[:0], group[:0])) == 0
+
+
+def test_scores_that_differ_by_rounding_keep_their_order():
+    score = np.array([0.3, 0.1 + 0.2, 0.7, 0.3 - 1e-16])
+    assert by_score(score).tolist() == [2, 0, 1, 3]
+    first = np.array([0, 1, 1, 0])
+    assert by_score(score, first).tolist() == [0, 3, 2, 1]
+
+
+@given(st.lists(st.floats(0, 1), max_size=12).map(np.array))
+def test_ranks_of_qualities(quality):
+    """None is better than one of a higher rank, but for what is equal; and in
+    one rank all are equal to the highest."""
+    ranks = quality_ranks(quality)
+    assert sorted(set(ranks.tolist())) == list(range(len(set(ranks.tolist()))))
+    for rank in set(ranks.tolist()):
+        own = quality[ranks == rank]
+        assert np.ptp(own) <= EQUAL_QUALITY + 1e-12
+        assert (quality[ranks > rank] < own.max() - EQUAL_QUALITY).all()
+
+
+def test_the_only_grasp_is_taken_however_weak():
+    weak = block("weak", 0.03, 0.03, 0.03, density=900.0)
+    planner = ModelGraspPlanner([weak], seed=7)
+    poses = {"weak": at(0, 0, 0.015)}
+    grasp = planner.plan("weak", poses)
+    found = [replace(grasp, quality=0.1 * EQUAL_QUALITY)]
+    assert planner._most_robust(found, poses)

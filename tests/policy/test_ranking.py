@@ -12,6 +12,7 @@ from xray_drake.policy.ranking import (
     Scores,
     SearchView,
     candidates,
+    highest_first,
     largest,
     order,
     random,
@@ -229,3 +230,9 @@ def test_distribution_and_masks_of_two_images() -> None:
         order(small, xray, rng())
     assert "(3, 4)" in str(caught.value)
     assert str(SHAPE) in str(caught.value)
+
+
+def test_what_differs_by_rounding_alone_is_ranked_by_the_next_score() -> None:
+    scores = np.array([[0.3, 1.0], [0.1 + 0.2, 2.0], [1e6, 0.0], [0.0, 9.0]])
+    assert highest_first(scores).tolist() == [2, 1, 0, 3]
+    assert highest_first(np.zeros((0, 2))).tolist() == []

@@ -24,6 +24,12 @@ _LEVER = 0.03
 _NOT_ROOMY = 0.6
 """Robustness of a cup so near an edge that a wider one would not seal."""
 
+EQUAL_QUALITY = 1e-3
+"""Qualities that differ by no more are equal."""
+
+_DIGITS = 4
+"""Scores are compared after so many decimals."""
+
 
 @dataclass(frozen=True, eq=False)
 class GraspCandidates:
@@ -61,6 +67,41 @@ class GraspCandidates:
         )
 
 
+def by_score(score: np.ndarray, *first: np.ndarray) -> np.ndarray:
+    """Orders by score, the highest first; what is equal keeps its order.
+
+    Scores that differ by rounding are equal: which of them is higher would
+    depend on the processor.
+
+    Args:
+        score: (n,) array.
+        *first: (n,) keys that decide before the score does, lowest first.
+
+    Returns:
+        (n,) indices.
+    """
+    return np.lexsort((-np.round(score, _DIGITS), *first[::-1]))
+
+
+def quality_ranks(quality: np.ndarray) -> np.ndarray:
+    """Returns the (n,) ranks of qualities, 0 for the highest.
+
+    The highest, and all that are equal to it (``EQUAL_QUALITY``), are of one
+    rank, and so on from the highest of what is left. Which of two equal grasps
+    is taken is not to depend on the last digit of a reading.
+
+    Args:
+        quality: (n,) array.
+    """
+    ranks = np.zeros(len(quality), int)
+    rank, highest = 0, np.inf
+    for i in np.argsort(-quality, kind="stable"):
+        if quality[i] < highest - EQUAL_QUALITY:
+            rank, highest = rank + np.isfinite(highest), quality[i]
+        ranks[i] = rank
+    return ranks
+
+
 def in_groups(score: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Orders by score, but the best of each group before all second bests.
 
@@ -73,11 +114,11 @@ def in_groups(score: np.ndarray, group: np.ndarray) -> np.ndarray:
     """
     if len(score) == 0:
         return np.zeros(0, int)
-    order = np.lexsort((-score, group))
+    order = by_score(score, group)
     starts = np.flatnonzero(np.r_[True, group[order][1:] != group[order][:-1]])
     sizes = np.diff(np.r_[starts, len(order)])
     rank = np.arange(len(order)) - np.repeat(starts, sizes)
-    return order[np.lexsort((-score[order], rank))]
+    return order[by_score(score[order], rank)]
 
 
 def same_grasp(

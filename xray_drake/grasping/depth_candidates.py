@@ -14,6 +14,9 @@ from xray_drake.messages import GraspKind
 _CELL = 0.005
 """Pairs whose middles fall in one cell of this size, m, are alike."""
 
+_EQUAL_ANGLE = 0.005
+"""Pairs whose angles are in one step of this size are as well aligned, rad."""
+
 _LEVER = 0.03
 """Horizontal distance from the object's middle that halves a score, m."""
 
@@ -60,7 +63,7 @@ def _steepness(approach: np.ndarray, max_tilt: float) -> np.ndarray:
 
 def distinct_pairs(pairs: RimPairs, seen: SeenObject) -> RimPairs:
     """Returns the best aligned of all pairs that are alike."""
-    order = np.argsort(pairs.angle, kind="stable")
+    order = np.argsort(np.floor(pairs.angle / _EQUAL_ANGLE), kind="stable")
     pairs = pairs.take(order)
     cells = seen.cells(0.5 * (pairs.first + pairs.second), pairs.axis)
     if len(cells) == 0:

@@ -7,7 +7,12 @@ import numpy as np
 
 from xray_drake.configuration import count, number
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.candidates import in_groups, is_among
+from xray_drake.grasping.candidates import (
+    by_score,
+    in_groups,
+    is_among,
+    quality_ranks,
+)
 from xray_drake.grasping.depth_approach import ApproachShape
 from xray_drake.grasping.depth_candidates import (
     SeenObject,
@@ -100,7 +105,8 @@ class DepthGraspPlanner:
     share of the pads, or for evenness under the lip and distance from edges;
     and for free space around the gripper. What the best are worth under
     perturbation, Dex-Net 2.0's robustness, multiplies it. Here the weight is a
-    guess.
+    guess. Of grasps of equal quality that nearest to the object's middle is the
+    best.
 
     The result depends on the arguments and the seed alone.
     """
@@ -213,7 +219,7 @@ class DepthGraspPlanner:
             *self._jaws(object_name, rims, seen, judge),
             *self._cups(object_name, surface, seen, judge),
         ]
-        found.sort(key=lambda grasp: -grasp.quality)
+        found = _best_first(found, seen)
         barred = [replace(grasp, X_OG=grasp.X_WG) for grasp in excluded]
         chosen: list[Grasp] = []
         for grasp in found:
@@ -235,7 +241,7 @@ class DepthGraspPlanner:
             if not excluded_or_alike:
                 chosen.append(grasp)
         chosen = self._rehearsed(chosen, judge)
-        return sorted(chosen, key=lambda grasp: -grasp.quality)
+        return _best_first(chosen, seen)
 
     def _jaws(
         self, name: str, rims: Rims, seen: SeenObject, judge: DepthJudge
@@ -304,7 +310,7 @@ class DepthGraspPlanner:
             max_tilt=config.max_tilt,
             turns=config.suction_turns,
         )
-        order = np.argsort(-candidates.score, kind="stable")
+        order = by_score(candidates.score)
         count = config.suction_places * config.suction_turns
         candidates = candidates.take(order[:count])
         judged = judge.suction(
@@ -377,3 +383,12 @@ class DepthGraspPlanner:
                 for grasp, part in zip(those, share, strict=True)
             ]
         return result
+
+
+def _best_first(grasps: Sequence[Grasp], seen: SeenObject) -> list[Grasp]:
+    """Orders by quality; of equal ones the nearest to the middle is first."""
+    if not grasps:
+        return []
+    ranks = quality_ranks(np.array([grasp.quality for grasp in grasps]))
+    lever = seen.lever(np.array([grasp.X_WG[:3, 3] for grasp in grasps]))
+    return [grasps[i] for i in np.lexsort((np.round(lever, 4), ranks))]

@@ -8,10 +8,13 @@ import numpy as np
 
 from xray_drake.configuration import count, number
 from xray_drake.grasping.candidates import (
+    EQUAL_QUALITY,
     GraspCandidates,
+    by_score,
     in_groups,
     is_among,
     jaw_candidates,
+    quality_ranks,
     suction_candidates,
 )
 from xray_drake.grasping.clearance import clearance
@@ -116,9 +119,10 @@ class ModelGraspPlanner:
     per object and cached. A plan ranks them cheaply, by upper bounds of what
     they can hold, by how near the centre of mass they are and how steep the
     approach is; then it judges them in this order, as ``GraspJudge`` does, and
-    returns the best of the first few that hold. In between, a cloud of points
-    on all surfaces tells which candidates cannot be free and how much space the
-    others have; quality and rank suffer where there is little of it.
+    returns the best of the first few that hold, and of equal ones the first. In
+    between, a cloud of points on all surfaces tells which candidates cannot be
+    free and how much space the others have; quality and rank suffer where there
+    is little of it.
 
     Quality is 1 − weight / largest weight that can be held, times factors in
     [½, 1] for what it depends on in execution: alignment of the contact normals
@@ -232,8 +236,8 @@ class ModelGraspPlanner:
                     both[1].take(part[part >= size] - size), points
                 ),
             ]
-            queue.sort(key=lambda c: -c.score)
-            for candidate in queue:
+            for i in by_score(np.array([c.score for c in queue])):
+                candidate = queue[i]
                 if (
                     checked >= self.config.max_checks
                     or len(found) >= self.config.enough
@@ -277,12 +281,14 @@ class ModelGraspPlanner:
         perturbations, none of which is the one of the execution.
         """
         config = self.config
-        found = sorted(found, key=lambda grasp: -grasp.quality)
+        ranks = quality_ranks(np.array([grasp.quality for grasp in found]))
+        found = [found[i] for i in np.argsort(ranks, kind="stable")]
         if not config.rehearsals or not found:
             return found[0] if found else Grasp()
         best = Grasp()
         for grasp in found[: config.finalists]:
-            if grasp.quality <= best.quality:
+            least = best.quality + EQUAL_QUALITY if best else 0.0
+            if grasp.quality <= least:
                 break
             rng = stream(self._seed, "rehearsal")
             held = 0
@@ -295,7 +301,7 @@ class ModelGraspPlanner:
             # Laplace's rule keeps a grasp that failed every rehearsal: it may
             # be the only one.
             share = (held + 1) / (config.rehearsals + 1)
-            if grasp.quality * share > best.quality:
+            if grasp.quality * share > least:
                 best = replace(grasp, quality=grasp.quality * share)
         return best
 

@@ -59,6 +59,9 @@ nothing of the force."""
 _HEADROOM = 0.18
 """The tool stays so far below the base, where the arm has room to fold, m."""
 
+_DIGITS = 6
+"""Ways are compared after so many decimals, that rounding decides nothing."""
+
 _NEAR_ENOUGH = 0.01
 """What is released this much higher than wanted is set down, too, m."""
 
@@ -148,7 +151,9 @@ class Arm(Message):
             if len(chains) == _CHAINS:
                 break
         if chains:
-            return min(chains, key=lambda c: self._turning(near, c[-1]))
+            return min(
+                chains, key=lambda c: round(self._turning(near, c[-1]), _DIGITS)
+            )
         p = ", ".join(f"{x:.2f}" for x in poses[0][:3, 3])
         if not reached:
             raise ReachError(f"out of the arm's reach: tool at ({p}) m")
@@ -233,7 +238,7 @@ class Arm(Message):
             if self._is_clear(self._swing(q, there)):
                 return there
         if found:
-            return min(found, key=lambda item: item[0])[1]
+            return min(found, key=lambda item: round(item[0], _DIGITS))[1]
         at = ", ".join(f"{x:.2f}" for x in place)
         raise ReachError(f"out of the arm's reach: to carry it over ({at}) m")
 
@@ -428,7 +433,7 @@ class Arm(Message):
         ways = []
         X_0, X_1 = self.pose(start), self.pose(end)
         turns = self._turns(_azimuth(X_0[:3, 3]), X_1, start)
-        for turn in sorted(turns, key=lambda a: abs(start[0] - a - end[0])):
+        for turn in _nearest_first(turns, start[0] - end[0]):
             knots = self._turned(start, X_1, turn)
             if knots is None:
                 continue
@@ -455,7 +460,7 @@ class Arm(Message):
         """
         turn = _azimuth(X_WT[:3, 3]) - azimuth
         turn = (turn + np.pi) % (2 * np.pi) - np.pi
-        both = turn, turn - np.sign(turn) * 2 * np.pi
+        both = _nearest_first((turn, turn - np.sign(turn) * 2 * np.pi), 0.0)
         # Axis 1 points down.
         return [
             angle
@@ -550,6 +555,11 @@ def _between(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
         Rotation.from_rotvec(share * turn).as_matrix() @ start[:3, :3]
     )
     return pose
+
+
+def _nearest_first(angles: Sequence[float], wanted: float) -> list[float]:
+    """Orders angles by distance from one, rad; of equals the lower first."""
+    return sorted(angles, key=lambda a: (round(abs(a - wanted), _DIGITS), a))
 
 
 def _about_vertical(angle: float) -> np.ndarray:

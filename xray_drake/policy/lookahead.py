@@ -13,6 +13,7 @@ from xray_drake.policy.ranking import (
     Planning,
     Scores,
     SearchView,
+    highest_first,
     xray,
 )
 from xray_drake.policy.removal import Removal
@@ -102,8 +103,7 @@ class Lookahead:
             for name, removal in removals.items()
         }
         values = dict(gains)
-        best_first = sorted(gains, key=lambda name: -gains[name])
-        for name in best_first[: config.beam]:
+        for name in _most_first(gains)[: config.beam]:
             # Where the grasp fails, the best of the others is next.
             others = [gains[other] for other in gains if other != name]
             values[name] += config.later * (
@@ -181,8 +181,7 @@ class _Imagined:
             name: float(self._mass[mask].sum(dtype=float))
             for name, mask in masks.items()
         }
-        some = [name for name in sums if sums[name] > 0]
-        return sorted(some, key=lambda name: -sums[name])
+        return _most_first({n: value for n, value in sums.items() if value > 0})
 
     def without(self, mask: np.ndarray, low: float) -> _Removed:
         """Imagines a removal."""
@@ -198,3 +197,9 @@ class _Imagined:
             after.size, self.size
         )
         return _Removed(after, revealed, self.size - left)
+
+
+def _most_first(values: Mapping[str, float]) -> list[str]:
+    names = list(values)
+    column = np.reshape(list(values.values()), (-1, 1))
+    return [names[i] for i in highest_first(column)]

@@ -1,6 +1,6 @@
 """The paper's three rankings: which object to grasp first."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -91,7 +91,7 @@ class Scores:
     Attributes:
         values: (n, k) float; the highest is grasped first. The first column is
             the score, in a unit of the ranking's own; each next one decides
-            where the columns before it are equal.
+            where the columns before it are equal but for rounding.
         hides: (n,) bool: the candidate hides the target as far as the ranking
             can tell, or keeps the gripper from it, or is the target itself. A
             weak grasp on such an object is preferred to a good one on an
@@ -205,6 +205,24 @@ def candidates(instances: InstanceMasks, *, min_pixels: int) -> tuple[str, ...]:
     )
 
 
+def highest_first(scores: np.ndarray) -> np.ndarray:
+    """Orders by scores; what is equal in all of them keeps its order.
+
+    Scores are compared to five digits: which of two is higher by rounding alone
+    would depend on the processor.
+
+    Args:
+        scores: (n, k); the first column decides, each next one where the
+            columns before it are equal.
+
+    Returns:
+        (n,) indices.
+    """
+    mantissa, exponent = np.frexp(scores)
+    rounded = np.ldexp(np.round(mantissa, 5), exponent)
+    return np.lexsort(-rounded.T[::-1])
+
+
 def order(
     view: SearchView,
     ranking: Ranking,
@@ -232,15 +250,13 @@ def order(
     if not view.candidates:
         return []
     scores = ranking(view, rng)
-    # lexsort: its last key decides first; stable, so equals keep their order.
-    keys: Sequence[np.ndarray] = [-column for column in scores.values.T[::-1]]
     ranked = [
         Ranked(
             view.candidates[i],
             float(scores.values[i, 0]),
             bool(scores.hides[i]),
         )
-        for i in np.lexsort(keys)
+        for i in highest_first(scores.values)
     ]
-    # Stable as well.
+    # Stable, so the others keep their order.
     return sorted(ranked, key=lambda candidate: candidate.name != target)
