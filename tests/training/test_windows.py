@@ -116,8 +116,7 @@ def test_batches_are_of_one_size_and_shared_out(
         assert batches[-1] == list(sampler)
     for together in zip(*batches, strict=True):
         of_all = [index for batch in together for index in batch]
-        assert {len(batch) for batch in together} <= {1, 2}
-        assert len({len(batch) for batch in together}) == 1
+        assert all(len(batch) == 2 for batch in together)
         assert len({sides[index] for index in of_all}) == 1
 
 
@@ -141,8 +140,8 @@ def test_a_pass_has_windows_of_rare_sizes_as_well(
     for begin in range(0, len(drawn) - steps + 1, steps):
         one = [*chain(*drawn[begin : begin + steps])]
         assert set(one) == set(range(len(sides)))
-        # None twice, but to give all devices as many.
-        most = 3 * (devices - 1)  # of three sizes
+        # None twice, but to give all devices as many, two at least.
+        most = 3 * (2 * devices - 1)  # of three sizes
         assert len(one) <= len(sides) + most
 
 
@@ -216,3 +215,12 @@ def test_pixels_beyond_the_windows_are_counted() -> None:
     assert positives == inside + 30
     assert positives + negatives == 3 * (96 * 96 + 210)
     assert union >= positives
+
+
+def test_a_single_window_of_its_size_can_be_trained_on() -> None:
+    sides = [(32, 32)] + [(64, 64)] * 8
+    config = TrainConfig(items_per_epoch=12, batch_size=4)
+    batches = [b for b in WindowSampler(sides, config) if b[0] == 0]
+    assert batches == [[0, 0]]
+    loss = _training(10).train().training_step(_batch(32, batch=2), 0)
+    assert torch.isfinite(loss)

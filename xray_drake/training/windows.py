@@ -82,7 +82,8 @@ class WindowSampler(Sampler[list[int]]):
     pass may be a small one, so that windows of rare sizes are seen as often as
     others. An epoch has a number of batches; which they are depends on the
     seed and the epoch's number alone. In each step all devices have as many
-    windows of the same size; where there are too few, some have the same.
+    windows of the same size, two at least; where there are too few, some are
+    repeated.
 
     Attributes:
         steps_per_pass: batches of each device in a pass.
@@ -106,6 +107,8 @@ class WindowSampler(Sampler[list[int]]):
         """
         self._groups = [np.array(group) for group in _by_size(sides)]
         self._together = config.batch_size * devices
+        # A single small window has no variance to normalise by.
+        self._least = min(2, config.batch_size)
         self._steps = steps_per_epoch(config, devices)
         self._rank, self._devices = rank, devices
         self._seed = config.seed
@@ -127,7 +130,7 @@ class WindowSampler(Sampler[list[int]]):
         number, skipped = divmod(self._epoch * self._steps, self.steps_per_pass)
         batches = chain.from_iterable(map(self._pass, count(number)))
         for batch in islice(batches, skipped, skipped + self._steps):
-            each = math.ceil(len(batch) / self._devices)
+            each = max(self._least, math.ceil(len(batch) / self._devices))
             shared = np.resize(batch, each * self._devices)  # repeats
             yield shared[self._rank :: self._devices].tolist()
 
