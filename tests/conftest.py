@@ -1,5 +1,6 @@
 """The tiny heap for all tests, and a cache of their own."""
 
+import gc
 import os
 import tempfile
 
@@ -26,3 +27,9 @@ def pytest_xdist_auto_num_workers() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def pytest_collection_finish() -> None:
+    """What is imported stays: the garbage collector need not look at it."""
+    gc.collect()
+    gc.freeze()

@@ -1,6 +1,7 @@
 """The environment on the tiny heap, which is not dropped."""
 
 import copy
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from pydrake.gym import DrakeGymEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gym import ENV_ID
 from xray_drake.gym.agents import random_agent, xray_agent
 from xray_drake.gym.environment import MechanicalSearchEnv
@@ -64,6 +66,32 @@ def scenario() -> Scenario:
     # An agent does as it likes; this is to be the policy's scenario.
     scenario.policy.target_first = False
     return scenario
+
+
+@pytest.fixture
+def pair(tiny_heap: Heap) -> Heap:
+    """The target under the book and its pad: soon dropped and searched."""
+    names = ("book", "pad")
+    return dataclasses.replace(
+        tiny_heap,
+        objects=tuple(o for o in tiny_heap.objects if o.name in names),
+    )
+
+
+@pytest.fixture
+def quick(scenario: Scenario) -> Scenario:
+    """For what does not depend on how good a grasp is."""
+    quick = copy.deepcopy(scenario)
+    quick.scene.num_objects = 2
+    quick.gripper.planner = GraspPlannerConfig(
+        jaw_samples=100,
+        suction_samples=40,
+        suction_turns=2,
+        max_candidates=100,
+        enough=1,
+        rehearsals=0,
+    )
+    return quick
 
 
 @pytest.fixture(scope="module")
@@ -205,10 +233,10 @@ def test_nothing_graspable_ends_it(scenario: Scenario, tiny_heap: Heap) -> None:
 
 
 def test_a_random_agent_to_the_end_and_again(
-    scenario: Scenario, tiny_heap: Heap
+    quick: Scenario, pair: Heap
 ) -> None:
     env = MechanicalSearchEnv(
-        scenario, reward="sparse", drop=lambda scenario: tiny_heap
+        quick, reward="sparse", drop=lambda scenario: pair
     )
     one, other = (play(env, random_agent, seed=3) for _ in range(2))
     assert len(one[2]) == len(other[2]) <= 10
@@ -334,17 +362,13 @@ def test_an_agent_counts_the_support_alone() -> None:
     assert xray_agent(observation) == 1
 
 
-def test_gymnasiums_checker(scenario: Scenario, tiny_heap: Heap) -> None:
-    env = gymnasium.make(
-        ENV_ID, scenario=scenario, drop=lambda scenario: tiny_heap
-    )
+def test_gymnasiums_checker(quick: Scenario, pair: Heap) -> None:
+    env = gymnasium.make(ENV_ID, scenario=quick, drop=lambda scenario: pair)
     check_env(env.unwrapped)
 
 
 # Images of one channel that are no bytes: it says that its own CNN policies
 # need to be given an extractor.
 @pytest.mark.filterwarnings("ignore:Your observation .* unconventional shape")
-def test_stable_baselines_checker(scenario: Scenario, tiny_heap: Heap) -> None:
-    sb3_check_env(
-        MechanicalSearchEnv(scenario, drop=lambda scenario: tiny_heap)
-    )
+def test_stable_baselines_checker(quick: Scenario, pair: Heap) -> None:
+    sb3_check_env(MechanicalSearchEnv(quick, drop=lambda scenario: pair))

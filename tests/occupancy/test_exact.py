@@ -12,12 +12,25 @@ from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.occupancy.exact import ExactInference, ExactInferenceConfig
-from xray_drake.scene.object_model import object_from_pieces
+from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 
 NOTHING = np.zeros((384, 512), dtype=bool)
 # Fewer orientations than usual, for the sake of the brute force.
 COARSE = ExactInferenceConfig(rotations=16, seen_step=0.012)
+
+
+def wedge() -> ObjectModel:
+    """Half a turn does not bring it back onto itself."""
+    base = [[-0.025, -0.02, 0.0], [0.035, -0.02, 0.0], [-0.01, 0.03, 0.0]]
+    piece = trimesh.convex.convex_hull(
+        np.vstack([base, np.add(base, [0.0, 0.0, 0.006])])
+    )
+    return object_from_pieces("wedge", [piece], density=600.0)
+
+
+def target_of(name: str) -> ObjectModel:
+    return wedge() if name == "wedge" else target_model(name)
 
 
 def amodal_mask(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:
@@ -64,9 +77,10 @@ def pixel_poses(
     )
 
 
-# Each camera, and each kind of silhouette, once.
+# Each camera and each kind of silhouette.
 AGREEMENT = [
     ("box_2to1", "high", 1),
+    ("wedge", "tilted", 0),
     ("box_5to1", "rolled", 1),
     ("box_10to1", "low", 1),
     ("lid", "tilted", 1),
@@ -78,15 +92,21 @@ AGREEMENT = [
 def test_hidden_support_agrees_with_brute_force(
     name: str, view: str, seed: int
 ) -> None:
-    target = target_model(name)
+    target = target_of(name)
     camera = CAMERAS[view]
     rng = np.random.default_rng(seed)
     center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
     angle = rng.uniform(0, np.pi)
-    plate = cover(target.visual, *center, angle, margin=0.02)
+    # A rectangle over a wedge has room to spare.
+    margin = 0.008 if name == "wedge" else 0.02
+    plate = cover(target.visual, *center, angle, margin=margin)
     height = target.extents[2] + 0.002
     others = occluders(rng, 2, center, 0.02, height)
-    depth, _ = render(camera, [plate, *others])
+    # What is lower than the target does not hide it.
+    low = trimesh.creation.box([0.09, 0.09, 0.7 * target.extents[2]])
+    aside = center - [0.14 * np.sign(center[0]), 0.0]
+    low.apply_translation([*aside, 0.35 * target.extents[2]])
+    depth, _ = render(camera, [plate, low, *others])
     inference = ExactInference(target, COARSE)
     result = inference.infer(depth, NOTHING, camera)
 
@@ -104,7 +124,7 @@ def test_hidden_support_agrees_with_brute_force(
 def test_seen_support_agrees_with_brute_force(
     name: str, view: str, seed: int
 ) -> None:
-    target = target_model(name)
+    target = target_of(name)
     camera = CAMERAS[view]
     rng = np.random.default_rng(seed)
     center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
