@@ -244,5 +244,5 @@ def test_a_line_for_reports() -> None:
     )
     assert describe([one], seeds=[4]) == (
         "Made by code c0de (commit 0123456789 with changes); drake 1.51.1; "
-        "no network; Z80; seed 4; 2026-11-30."
+        "no weights; Z80; seed 4; 2026-11-30."
     )

@@ -365,7 +365,7 @@ def describe(
     parts = [
         " and ".join(sources),
         " and ".join(packages),
-        f"weights {' and '.join(weights)}" if weights else "no network",
+        f"weights {' and '.join(weights)}" if weights else "no weights",
         " and ".join(types),
         " and ".join(_distinct(p.processor for p in every)),
         f"scenario {scenario}" if scenario else "",

@@ -247,6 +247,8 @@ def _fit(
     with warnings.catch_warnings():
         # One process reads; more would take the trainer's cores.
         warnings.filterwarnings("ignore", ".*does not have many workers.*")
+        # The manifest is there before the first checkpoint.
+        warnings.filterwarnings("ignore", ".*Checkpoint directory.*")
         try:
             trainer.fit(
                 module,
