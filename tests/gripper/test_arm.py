@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
@@ -13,10 +15,12 @@ from tests.gripper.test_execution import take as take_brick
 from xray_drake.gripper.arm import Arm
 from xray_drake.gripper.arm_cell import MOUNT, ArmCell
 from xray_drake.gripper.carrier import Lag, ReachError
+from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.execution import ExecutionConfig, Phase
 from xray_drake.gripper.paths import Leg
+from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
-from xray_drake.messages import GraspKind, Outcome
+from xray_drake.messages import GraspKind, Outcome, SearchAction
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.plant import (
     TOTE_POSITION,
@@ -161,6 +165,45 @@ def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
     held = torque + arm.cell.inertial_torque(q, v, acceleration)
     lag = Lag(q, v, held / arm.stiffness, np.zeros(7), acceleration)
     np.testing.assert_allclose(arm.force(lag), press, atol=1e-6)
+
+
+def test_two_contexts_of_one_controller_take_turns(
+    gripper: YumiGripper,
+) -> None:
+    """Their ways are found with one model of the arm."""
+    system = GripperController(gripper=gripper)
+    actions = [
+        take(GraspKind.JAW, "brick", (x, y, 0.02), 0.02)
+        for x, y in ((0.05, 0.02), (-0.05, -0.04))
+    ]
+
+    def begun(action: SearchAction) -> Simulator:
+        simulator = Simulator(system)
+        context = simulator.get_mutable_context()
+        for port, value in (
+            ("carrier_state", np.r_[gripper.home, np.zeros(7)]),
+            ("finger_state", np.zeros(4)),
+            ("cup_state", AbstractValue.Make(CupState())),
+            ("action", AbstractValue.Make(action)),
+        ):
+            system.GetInputPort(port).FixValue(context, value)
+        return simulator
+
+    def desired(simulator: Simulator, time: float) -> np.ndarray:
+        simulator.AdvanceTo(time)
+        port = system.GetOutputPort("carrier_desired_state")
+        return np.array(port.Eval(simulator.get_context()))
+
+    # Without an arm that follows it aborts soon, and finds its way home.
+    times = 0.1 * np.arange(1, 8)
+    alone = []
+    for action in actions:
+        simulator = begun(action)
+        alone.append([desired(simulator, time) for time in times])
+    both = [begun(action) for action in actions]
+    turns = [[desired(simulator, time) for simulator in both] for time in times]
+    np.testing.assert_array_equal(np.swapaxes(turns, 0, 1), alone)
+    assert not np.array_equal(alone[0], alone[1])
 
 
 def test_at_home_it_is_out_of_the_cameras_view() -> None:

@@ -95,6 +95,10 @@ class GraspScene:
     Objects and bin ignore each other. Objects that are not in the poses set
     take no part.
 
+    What is set stays set until it is set again, so whoever asks sets it first,
+    as grasp planners do. Two threads cannot use one scene, nor a planner or a
+    diagram that holds one, at the same time.
+
     Attributes:
         bin_points: (m, 3) points on the surface of the bin, in the world, m.
     """

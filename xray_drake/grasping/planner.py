@@ -130,7 +130,8 @@ class ModelGraspPlanner:
     the lip and distance from edges; and free space around the gripper.
 
     The result depends on the seed, on the object's name and pose, and on the
-    heap, not on what was planned before.
+    heap, not on what was planned before. Two threads cannot use one planner at
+    the same time.
     """
 
     def __init__(

@@ -59,6 +59,10 @@ def add_arm_model(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
 class ArmCell:
     """Where the tool is, what the arm touches, and how it gets to a pose.
 
+    Each question sets all that its answer depends on, in one context of the
+    cell's own. So contexts of a diagram that holds a cell can take turns, but
+    two threads cannot use one cell, nor such a diagram, at the same time.
+
     Attributes:
         lower: (7,) lowest positions, rad.
         upper: (7,) highest positions, rad.
