@@ -33,6 +33,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from xray_drake.choices import DTYPES
 from xray_drake.dataset.manifest import read_manifest
 from xray_drake.dataset.reader import OccupancyDataset
 from xray_drake.dataset.sample import Sample
@@ -196,7 +197,7 @@ def main(
     console.print(table)
     now = current(
         weights=[weights] if weights else [],
-        dtype="float32" if weights else "",
+        dtype=DTYPES[0] if weights else "",
         scripts=[Path(__file__)],
     )
     line = describe([now], seeds=[read_manifest(dataset).seed])

@@ -159,6 +159,7 @@ def occupancy(
             "split": split,
             "targets": target or None,
             "weights": [str(path) for path in weights or []],
+            "dtype": made_by.dtype,
             "noise": noise,
             "height_offset": height_offset,
             "focal_error": focal_error,

@@ -7,7 +7,6 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 
-from xray_drake.choices import WITHOUT_NETWORK
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.gripper.quasi_static import LIFT_CLEARANCE
 from xray_drake.lifetimes import my_context
@@ -115,9 +114,6 @@ class SearchMonitor:
                 "redrawn": heap.redrawn,
             },
             target_first=scenario.policy.target_first and not diagram.agent,
-            dtype=""
-            if scenario.perception.occupancy in WITHOUT_NETWORK
-            else scenario.perception.dtype,
             scenario=record_scenario(scenario),
             provenance=scenario_provenance(scenario),
         )

@@ -108,7 +108,6 @@ class SearchRecord:
         end: "success", "horizon", "target_lost", "nothing_graspable";
             "interrupted" where it was stopped; empty while it goes on.
         target_first: the policy grasps the target whenever it can.
-        dtype: what the network computed in; empty where there was none.
         scenario: as YAML, whatever differs from the defaults; the search can
             be run again from it.
         provenance: what made it; its keys are the record's.
@@ -125,7 +124,6 @@ class SearchRecord:
     actions: list[ActionRecord] = field(default_factory=list)
     end: str = ""
     target_first: bool = True
-    dtype: str = ""
     scenario: str = ""
     provenance: Provenance = field(default_factory=current)
 
@@ -148,7 +146,6 @@ class SearchRecord:
             "policy": self.policy,
             "target_first": self.target_first,
             "occupancy": self.occupancy,
-            "dtype": self.dtype,
             "execution": self.execution,
             "seed": self.seed,
             "target": self.target,
