@@ -253,12 +253,12 @@ def test_changes_are_told(tmp_path: Path) -> None:
         # The scenario's.
         scenario.horizon = 5
         scenario.scene.heap.sleep = False
-        scenario.scene.meshes = ["a", "b"]
+        scenario.scene.meshes = ["/a", "/b"]
         scenario.camera.X_PB.translation = [0.0, 0.0, 0.9]
 
     found = changes(demo(change))
     assert "horizon 5, not 10" in found
-    assert "scene.meshes [a, b], not []" in found
+    assert "scene.meshes [/a, /b], not []" in found
     assert "camera.X_PB.translation [0.0, 0.0, 0.9], not [0.0, 0.0, 0.8]" in (
         found
     )
