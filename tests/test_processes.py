@@ -8,9 +8,17 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from xray_drake.processes import ATTEMPTS, Died, Failed, JobProcesses, Sent
+from xray_drake.processes import (
+    ATTEMPTS,
+    Died,
+    Failed,
+    JobProcesses,
+    Overran,
+    Sent,
+)
 
 Send = Callable[[int], None]
 
@@ -78,6 +86,79 @@ def test_a_job_whose_process_is_killed_is_tried_again_then_told() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("status", "attempts", "reason"),
+    [
+        (-signal.SIGSEGV, 1, "was killed by SIGSEGV"),
+        (-signal.SIGSEGV, 2, "was killed by SIGSEGV (2 times)"),
+        (-signal.SIGKILL, 1, "was killed by SIGKILL, perhaps since memory"),
+        (-63, 1, "was killed by signal 63"),
+        (3, 1, "ended with status 3"),
+    ],
+)
+def test_how_a_process_died_is_told(
+    status: int, attempts: int, reason: str
+) -> None:
+    assert Died("job", status, attempts, False).reason.startswith(reason)
+
+
+def send_then_stay(job: tuple[int, ...], send: Send) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for value in job:
+        send(value)
+    if len(job) == 2:
+        time.sleep(600)
+
+
+def test_a_job_that_takes_too_long_is_stopped_and_others_go_on() -> None:
+    events = list(
+        JobProcesses(
+            send_then_stay,
+            [(1, 2), (3,)],
+            workers=1,
+            remaining=without,
+            limit=0.3,
+        )
+    )
+    assert events == [Sent((1, 2), 1), Sent((2,), 2), Sent((3,), 3)]
+    (first, *_, last) = JobProcesses(
+        send_then_stay, [(1, 2)], workers=2, limit=0.3
+    )
+    assert first == Sent((1, 2), 1)
+    assert last == Overran((1, 2), 0.3)
+
+
+SCRIPT = """
+import os
+from tests.test_processes import count_up
+from xray_drake.processes import JobProcesses
+print([event.value for event in JobProcesses(count_up, [2], workers=1)])
+print(os.environ.get("OMP_NUM_THREADS"))
+"""
+
+
+def test_a_script_needs_no_guard_and_keeps_its_threads(tmp_path: Path) -> None:
+    """Also where the temporary folder's name is too long for a socket."""
+    long = tmp_path / ("long" * 25)
+    long.mkdir()
+    (tmp_path / "script.py").write_text(SCRIPT)
+    root = Path(__file__).parents[1]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(root),
+        "TMPDIR": str(long),
+    }
+    environment.pop("OMP_NUM_THREADS", None)
+    made = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert made.stdout == "[0, 1]\nNone\n", made.stderr
+
+
 def without(job: tuple[int, ...], value: int) -> tuple[int, ...] | None:
     return tuple(v for v in job if v != value) or None
 
@@ -129,23 +210,46 @@ def test_a_process_killed_in_the_middle_of_a_message_died() -> None:
     assert events == [Sent, Died] * ATTEMPTS
 
 
-def raise_given(job: Exception, send: Send) -> None:
-    raise job
+def fail(job: str, send: Send) -> None:
+    # Imported here: other jobs need not wait for it.
+    from pydrake.multibody.plant import MultibodyPlant
+
+    from xray_drake.scene.library import make_object
+
+    if job == "message":
+        make_object("no_such")
+    elif job == "file":
+        Path("no\nfile").read_bytes()
+    elif job == "assertion":
+        MultibodyPlant(time_step=-1.0)
+    elif job == "numpy":
+        np.zeros(3) + np.zeros(4)
+    else:
+        MultibodyPlant(time_step=0.0).GetBodyByName("x")
 
 
 @pytest.mark.parametrize(
-    ("error", "reason"),
+    ("job", "reason", "traceback"),
     [
-        (ValueError("of two\n  lines"), "of two lines"),
-        (RuntimeError("it hangs"), "it hangs"),
-        (FileNotFoundError(2, "none", "a\nb"), "[Errno 2] none: 'a\\nb'"),
-        (TypeError("a\nfault"), "TypeError: a fault"),
+        ("message", "no family is called 'no'", ""),
+        ("file", "[Errno 2] No such file or directory: 'no\\nfile'", ""),
+        ("numpy", "ValueError: operands could not be", "in fail"),
+        ("drake", "RuntimeError: ", "in fail"),
+        ("assertion", "SystemExit: Failure at ", "in fail"),
     ],
 )
-def test_an_exception_is_one_line(error: Exception, reason: str) -> None:
-    (event,) = JobProcesses(raise_given, [error], workers=1)
+def test_an_exception_is_one_line_and_a_fault_keeps_its_traceback(
+    job: str, reason: str, traceback: str
+) -> None:
+    """So a fault of NumPy's or Drake's is told from a message for the user."""
+    (event,) = JobProcesses(fail, [job], workers=1)
     assert isinstance(event, Failed)
-    assert event.reason == reason
+    assert event.reason.startswith(reason)
+    assert "\n" not in event.reason
+    assert traceback in event.traceback
+    assert bool(event.traceback) == bool(traceback)
+    notes = getattr(event.error("it failed"), "__notes__", [])
+    assert notes == [event.traceback] * bool(traceback)
 
 
 def send_what_cannot_be(job: int, send: Callable) -> None:

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from pydrake.multibody.plant import MultibodyPlant
 
 from tests.benchmark.synthetic import record
 from xray_drake.benchmark import rollouts
@@ -15,6 +17,8 @@ from xray_drake.benchmark.rollouts import Job, run_job, run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
 from xray_drake.files import InUseError
 from xray_drake.provenance import Provenance, read_runs
+from xray_drake.scene.heap import HeapError
+from xray_drake.scene.targets import target_model
 from xray_drake.search import rollout
 from xray_drake.station import objects
 from xray_drake.station.scenario import Scenario, dump_scenario
@@ -255,7 +259,10 @@ def test_a_search_that_fails_does_not_end_the_others(
 
     monkeypatch.setattr(rollout, "run_search", fail)
     first, second = run_job(Job(dump_scenario(tiny()), 5, VARIANTS))
-    assert (first["end"], first["reason"]) == ("error", "it hangs")
+    assert (first["end"], first["reason"]) == (
+        "error",
+        "RuntimeError: it hangs",
+    )
     assert first["cpu_seconds"]["drop"] >= 0
     assert second["end"] == "success"
 
@@ -297,19 +304,56 @@ def test_a_worker_that_dies_costs_one_rollout(
     for item in records:
         if item["policy"] == "random":
             assert item["end"] == "error"
-            assert "status -9 2 times" in item["reason"]
+            assert item["reason"].startswith("its process was killed by SIG")
         else:
             assert item["end"] == "success"
 
 
 def fails(job: Job, send: Callable[[dict], None]) -> None:
-    raise TypeError("a fault")
+    np.zeros(3) + np.zeros(4)
 
 
 def test_a_fault_of_the_program_ends_the_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rollouts, "_send_records", fails)
-    with pytest.raises(RuntimeError, match="seed 5: TypeError: a fault"):
+    with pytest.raises(RuntimeError, match="seed 5: ValueError: op") as caught:
         run(tmp_path)
+    (note,) = caught.value.__notes__
+    assert "in fails" in note
     assert read_rollouts(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (lambda: MultibodyPlant(time_step=-1.0), "SystemExit: Failure at "),
+        (
+            lambda: MultibodyPlant(time_step=0.0).GetBodyByName("x"),
+            "RuntimeError: ",
+        ),
+        (lambda: target_model("nothing"), ""),
+    ],
+)
+def test_a_simulation_that_breaks_down_costs_one_rollout(
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    broken: Callable[[], object],
+    reason: str,
+) -> None:
+    """Drake's failed assertions are a ``SystemExit``."""
+
+    def run_search(*_: object, **__: object) -> None:
+        try:
+            broken()
+        except ValueError as error:
+            raise HeapError("it stopped") from error
+
+    monkeypatch.setattr(rollout, "run_search", run_search)
+    records = list(run_job(Job(dump_scenario(tiny()), 5, VARIANTS)))
+    assert len(records) == len(VARIANTS)
+    for item in records:
+        assert item["end"] == "error"
+        assert item["reason"].startswith(reason or "it stopped")
+    # The traceback of what Drake did not like is in the log.
+    assert ("in run_search" in caplog.text) == bool(reason)

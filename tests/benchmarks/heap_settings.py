@@ -25,6 +25,7 @@ from scipy.stats import ks_2samp
 
 from xray_drake.cli.options import Mix
 from xray_drake.provenance import Run, current, made_by, open_lines
+from xray_drake.threads import usable_cores
 
 FIRST_SEED = 40_000
 OBJECTS = 12
@@ -234,7 +235,7 @@ def main(
     out: Annotated[Path, typer.Option()],
     heaps: Annotated[int, typer.Option(min=1)] = 24,
     settings: Annotated[str, typer.Option()] = ",".join(SETTINGS),
-    workers: Annotated[int, typer.Option(min=1)] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(min=1)] = usable_cores(),
     mix: Mix = False,
 ) -> None:
     """Compares physics settings by the speed and the quality of heaps."""

@@ -1,14 +1,21 @@
+import os
 import subprocess
 import sys
+from collections.abc import Callable
 
+import numpy as np
 import pytest
 import typer
+from pydrake.multibody.plant import MultibodyPlant
 from typer.testing import CliRunner
 
 from xray_drake import __version__
 from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.cli.main import app, errors_as_lines
 from xray_drake.policy.policies import POLICIES
+from xray_drake.processes import Failed
+from xray_drake.scene.heap import HeapError
+from xray_drake.station.scenario import ScenarioError
 
 
 def test_version() -> None:
@@ -79,9 +86,9 @@ def test_asking_for_help_does_not_wait_for_drake(arguments: str) -> None:
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (ValueError("of two\n  lines"), 2),
+        (ScenarioError("of two\n  lines"), 2),
         (FileNotFoundError(2, "none", "of two\n  lines"), 1),
-        (RuntimeError("of two\n  lines"), 1),
+        (HeapError("of two\n  lines"), 1),
     ],
 )
 def test_an_error_is_one_line_and_a_status(
@@ -114,6 +121,54 @@ def test_an_exit_is_not_an_error(capsys: pytest.CaptureFixture) -> None:
     assert capsys.readouterr().err == ""
 
 
-def test_a_bug_is_not_hidden() -> None:
-    with pytest.raises(TypeError), errors_as_lines():
-        raise TypeError("a bug")
+@pytest.mark.parametrize(
+    ("bug", "line"),
+    [
+        (lambda: None + 1, "TypeError: "),
+        (lambda: np.zeros(3) + np.zeros(4), "ValueError: operands"),
+        (lambda: MultibodyPlant(time_step=0.0).GetBodyByName(""), "RuntimeE"),
+        (lambda: MultibodyPlant(time_step=-1.0), "SystemExit: Failure at"),
+    ],
+)
+def test_a_bug_is_not_hidden(
+    bug: Callable[[], object], line: str, capsys: pytest.CaptureFixture
+) -> None:
+    """NumPy's and Drake's errors keep their kind and traceback."""
+    with pytest.raises(typer.Exit) as exit_info, errors_as_lines():
+        bug()
+    assert exit_info.value.exit_code == 1
+    *traceback, last = capsys.readouterr().err.splitlines()
+    assert last.startswith(f"xray-drake: {line}")
+    assert any("test_main.py" in each for each in traceback)
+
+
+def test_the_traceback_of_a_bug_in_a_process_is_shown(
+    capsys: pytest.CaptureFixture,
+) -> None:
+    with pytest.raises(typer.Exit), errors_as_lines():
+        raise Failed("job", "KeyError: 1", "traceback").error("KeyError: 1")
+    *traceback, last = capsys.readouterr().err.splitlines()
+    assert traceback == ["traceback"]
+    assert last.endswith("KeyError: 1")
+
+
+@pytest.mark.parametrize(
+    ("command", "encoding"),
+    [
+        (["search", "--help"], "ascii"),
+        (["generate", "--help"], "latin-1"),
+        (["objects", "list", "--family", "can"], "ascii"),
+    ],
+)
+def test_the_output_may_have_any_encoding(
+    command: list[str], encoding: str
+) -> None:
+    made = subprocess.run(
+        [sys.executable, "-m", "xray_drake.cli.main", *command],
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        capture_output=True,
+    )
+    assert made.returncode == 0, made.stderr
+    text = made.stdout.decode(encoding)
+    assert "?" not in text
+    assert "..." in text or "…" in text or " x " in text

@@ -1,13 +1,19 @@
 import dataclasses
 import os
 import shutil
+import signal
 from typing import Any
 
 import numpy as np
 import pytest
 
+from xray_drake.dataset import check
 from xray_drake.dataset.check import CheckReport, check_dataset
-from xray_drake.dataset.manifest import DatasetError, write_manifest
+from xray_drake.dataset.manifest import (
+    DatasetError,
+    ExpectedShard,
+    write_manifest,
+)
 
 
 def _lines(report: CheckReport) -> list[str]:
@@ -66,6 +72,22 @@ def test_several_processes_find_the_same(own_dataset: Any) -> None:
     together = check_dataset(own_dataset.folder, workers=2)
     assert together.to_dict() == alone.to_dict()
     assert not together.sound
+
+
+class DyingJob(check._Job):
+    def __call__(self, expected: ExpectedShard) -> check._ShardResult:
+        if expected.name == "train-00001.h5":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return super().__call__(expected)
+
+
+def test_a_shard_whose_check_crashes_is_a_defect(
+    own_dataset: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check, "_Job", DyingJob)
+    report = check_dataset(own_dataset.folder, workers=2)
+    (line,) = _lines(report)
+    assert line.startswith("train-00001.h5: its process was killed by SIGSEGV")
 
 
 @pytest.mark.parametrize("deep", [True, False])

@@ -108,7 +108,10 @@ def test_a_killed_process_is_tried_again_then_named(
     manifest = small(1)
     missing = open_dataset(tmp_path, manifest, resume=False)
     monkeypatch.setattr(engine, "_make", _die)
-    with pytest.raises(RuntimeError, match=r"train-00000.h5 died .* 2 times"):
+    with pytest.raises(
+        RuntimeError,
+        match=r"train-00000.h5: its process .* SIGKILL.* \(2 times",
+    ):
         list(run_processes(tmp_path, manifest, missing, workers=1))
 
 

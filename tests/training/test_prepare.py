@@ -1,6 +1,8 @@
 import dataclasses
+import os
 import shutil
-from concurrent.futures import ThreadPoolExecutor
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,7 @@ from xray_drake.occupancy.networks.inputs import (
     geometry_input,
     size_features,
 )
+from xray_drake.processes import Sent
 from xray_drake.training import prepare as module
 from xray_drake.training.data import PreparedItems
 from xray_drake.training.items import Item
@@ -90,12 +93,14 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(shard.name)
         prepare_shard(shard, *arguments)
 
-    def threads(workers: int, mp_context: object) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(workers)
+    def here(work: Callable, jobs: list, **_: Any) -> Iterator[Sent]:
+        for job in jobs:
+            values: list = []
+            work(job, values.append)
+            yield from (Sent(job, value) for value in values)
 
     monkeypatch.setattr(module, "prepare_shard", counted)
-    monkeypatch.setattr(module, "ProcessPoolExecutor", threads)
-    monkeypatch.setattr(module, "limit_threads", lambda: None)
+    monkeypatch.setattr(module, "JobProcesses", here)
     return names
 
 
@@ -490,12 +495,21 @@ def test_a_damaged_shard_is_named_and_leaves_nothing(
     assert left == []
 
 
-def test_processes_make_the_same_items(
+def die_in_native_code(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def test_a_process_that_dies_is_one_line_with_its_shard(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # They inherit the environment, and limit_threads changes it.
-    for name in ("OMP", "OPENBLAS", "MKL"):
-        monkeypatch.setenv(f"{name}_NUM_THREADS", "1")
+    monkeypatch.setattr(module, "_prepare_job", die_in_native_code)
+    with pytest.raises(
+        RuntimeError, match=r"train-0000\d\.h5: its process .* SIGSEGV"
+    ):
+        _prepare(dataset, tmp_path)
+
+
+def test_processes_make_the_same_items(dataset: Path, tmp_path: Path) -> None:
     files = _prepare(dataset, tmp_path, PrepareConfig())
     path = tmp_path / "here.npz"
     prepare_shard(dataset / "train-00000.h5", path, PrepareConfig(), SHARE)

@@ -1,6 +1,7 @@
 """Runs policies on the same heaps, over processes, resumably."""
 
 import gc
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from xray_drake.benchmark.records import (
     shared_scenario,
 )
 from xray_drake.benchmark.variants import Variant
+from xray_drake.faults import BREAKDOWNS, is_fault, one_line
 from xray_drake.files import (
     append_json_lines,
     remove_leftovers,
@@ -36,6 +38,8 @@ from xray_drake.station.scenario import (
     parse_scenario,
     record_scenario,
 )
+
+_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -77,9 +81,10 @@ def run_job(job: Job) -> Iterator[Record]:
     start = time.process_time()
     try:
         heap = make_heap(scenario)
-    except RuntimeError as error:
+    except BREAKDOWNS as error:
+        reason = _told(error)
         for variant in job.variants:
-            yield _failure(scenario, variant, error)
+            yield _failure(scenario, variant, reason)
         return
     dropped = time.process_time() - start
     by_contact = scenario.gripper.execution == "contact"
@@ -91,8 +96,8 @@ def run_job(job: Job) -> Iterator[Record]:
                 variant.applied_to(scenario), heap=heap
             )
             record = run_search(diagram, transitions=transitions).to_dict()
-        except RuntimeError as error:
-            record = _failure(scenario, variant, error)
+        except BREAKDOWNS as error:
+            record = _failure(scenario, variant, _told(error))
         if record["end"] == "interrupted":
             raise KeyboardInterrupt
         record["cpu_seconds"] = {
@@ -218,15 +223,14 @@ def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[Record]:
         match event:
             case Sent(value=record):
                 yield record
-            case Failed(job=job, reason=reason):
-                raise RuntimeError(f"heap of seed {job.seed}: {reason}")
+            case Failed(job=job) as failed:
+                raise failed.error(f"heap of seed {job.seed}: {failed.reason}")
             case Died(job=job, again=False) as died:
                 first, *others = job.variants
                 yield _failure(
                     parse_scenario(job.scenario, "benchmark"),
                     first,
-                    f"its process died with status {died.status} "
-                    f"{died.attempts} times",
+                    f"its process {died.reason}",
                     seed=job.seed,
                 )
                 if others:
@@ -246,7 +250,7 @@ def _remaining(job: Job, record: Record) -> Job | None:
 def _failure(
     scenario: Scenario,
     variant: Variant,
-    reason: object,
+    reason: str,
     *,
     seed: int | None = None,
 ) -> Record:
@@ -262,7 +266,14 @@ def _failure(
         "seed": run.seed,
         "target": run.scene.target,
         "end": "error",
-        "reason": " ".join(str(reason).split()),
+        "reason": reason,
         "scenario": record_scenario(run),
         **scenario_provenance(run).to_dict(),
     }
+
+
+def _told(error: BaseException) -> str:
+    """Returns an error in one line; the traceback of a fault is logged."""
+    if is_fault(error):
+        _logger.error("", exc_info=error)
+    return one_line(error)

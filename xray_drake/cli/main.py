@@ -1,16 +1,17 @@
 """``xray-drake``: one command per job."""
 
+import faulthandler
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from xray_drake import __version__
 from xray_drake.cli.dataset import app as dataset_app
-from xray_drake.cli.errors import errors_as_lines
+from xray_drake.cli.errors import accept_any_output, errors_as_lines
 from xray_drake.cli.evaluate import app as evaluate_app
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
@@ -44,7 +45,19 @@ from xray_drake.cli.report import report
 from xray_drake.cli.train import train
 from xray_drake.splits import SPLITS
 
-app = typer.Typer(
+
+class _App(typer.Typer):
+    """The program; also what its entry point calls."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        accept_any_output()
+        if sys.__stderr__ is not None:
+            # A crash of native code tells where.
+            faulthandler.enable(sys.__stderr__)
+        return super().__call__(*args, **kwargs)
+
+
+app = _App(
     name="xray-drake",
     help="Mechanical search: find an object hidden in a heap.",
     no_args_is_help=True,

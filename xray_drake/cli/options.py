@@ -1,6 +1,5 @@
 """Options that several commands share, and the fields that they replace."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +20,7 @@ from xray_drake.choices import (
     TARGET_NAMES,
 )
 from xray_drake.splits import SPLITS
+from xray_drake.threads import usable_cores
 
 
 def one_of(names: Sequence[str]) -> str:
@@ -34,7 +34,7 @@ BOXES = f"{BOX_TARGETS[0]} … {BOX_TARGETS[-1]}"
 
 FLAT_TARGETS = (BOXES, *(n for n in TARGET_NAMES if n not in BOX_TARGETS))
 
-CORES = os.cpu_count() or 1
+CORES = usable_cores()
 
 ScenarioName = Annotated[
     str, typer.Option(help="Name of a scenario, or a YAML file.")

@@ -2,11 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from xray_drake.dataset.shards import (
     shard_problems,
     verify_shard,
 )
+from xray_drake.processes import Died, Failed, JobProcesses, Sent
 
 FULLY_VISIBLE = 0.99
 """Visible fraction from which a target counts as fully visible."""
@@ -200,12 +198,10 @@ def check_dataset(
     defects = list(_unexpected(folder, {shard.name for shard in expected}))
     results: list[_ShardResult] = []
     job = _Job(folder, manifest, deep)
-    with _executor(workers) as pool:
-        mapped = map(job, expected) if pool is None else pool.map(job, expected)
-        for result in mapped:
-            results.append(result)
-            if progress is not None:
-                progress(len(results), len(expected))
+    for result in _run(job, expected, workers):
+        results.append(result)
+        if progress is not None:
+            progress(len(results), len(expected))
     defects += [defect for result in results for defect in result.defects]
     defects += _duplicates(expected, results)
     defects += _shared_objects(expected, results)
@@ -221,11 +217,35 @@ def check_dataset(
     )
 
 
-def _executor(workers: int) -> Executor | nullcontext[None]:
+def _run(
+    job: "_Job", expected: Sequence[ExpectedShard], workers: int
+) -> Iterator["_ShardResult"]:
+    """Yields what each shard gave, in their order."""
     if workers <= 1:
-        return nullcontext()
-    # Not forked: the parent may have threads (torch, Drake).
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+        yield from map(job, expected)
+        return
+    results: dict[ExpectedShard, _ShardResult] = {}
+    events = JobProcesses(
+        job.send,
+        expected,
+        workers=workers,
+        preload=["xray_drake.dataset.check"],
+    )
+    waiting = iter(expected)
+    first = next(waiting, None)
+    for event in events:
+        shard = event.job
+        match event:
+            case Sent(value=result):
+                results[shard] = result
+            case Failed() as failed:
+                raise failed.error(f"{shard.name}: {failed.reason}")
+            case Died(again=False) as died:
+                defect = Defect(shard.name, f"its process {died.reason}")
+                results[shard] = _ShardResult(defects=[defect])
+        while first in results:
+            yield results.pop(first)
+            first = next(waiting, None)
 
 
 def _unexpected(folder: Path, names: set[str]) -> Iterator[Defect]:
@@ -260,6 +280,12 @@ class _Job:
             problem = f"cannot be read: {error.strerror or error}"
             result.defects.append(Defect(expected.name, problem))
         return result
+
+    def send(
+        self, expected: ExpectedShard, send: Callable[[_ShardResult], None]
+    ) -> None:
+        """Checks one shard in a process of its own."""
+        send(self(expected))
 
     def _look(
         self, shard: ShardReader, expected: ExpectedShard, result: _ShardResult

@@ -130,17 +130,16 @@ def run_processes(
                 yield report
             case Sent(job=shard, value=int(samples)):
                 progress(shard.name, samples)
-            case Failed(job=shard, reason=reason):
-                raise RuntimeError(
-                    f"{shard.name}: {reason}; go on with --resume"
+            case Failed(job=shard) as failed:
+                raise failed.error(
+                    f"{shard.name}: {failed.reason}; go on with --resume"
                 )
             case Died(job=shard, again=True):
                 progress(shard.name, 0)
             case Died(job=shard) as died:
                 raise RuntimeError(
-                    f"the process that made {shard.name} died with status "
-                    f"{died.status} {died.attempts} times: look for memory "
-                    "that ran out, then go on with --resume"
+                    f"{shard.name}: its process {died.reason}; go on with "
+                    "--resume"
                 )
 
 

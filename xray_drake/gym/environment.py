@@ -18,6 +18,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context
 
 from xray_drake.drawing.meshcat_layers import start_meshcat
+from xray_drake.faults import BREAKDOWNS, one_line
 from xray_drake.gym.rewards import (
     REWARDS,
     Reward,
@@ -278,11 +279,10 @@ class MechanicalSearchEnv(DrakeGymEnv):
         )
         try:
             self._advance(number)
-        except RuntimeError as error:
+        except BREAKDOWNS as error:
             record.end = "error"
             self._rewards.append(0.0)
-            message = " ".join(str(error).split())
-            info = self._info() | {"valid": valid, "error": message}
+            info = self._info() | {"valid": valid, "error": one_line(error)}
             return self._fresh(), 0.0, False, True, info
         before = self._state
         self._observation = self._observe()

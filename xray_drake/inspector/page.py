@@ -4,6 +4,7 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import replace
 
+from xray_drake.faults import BREAKDOWNS, one_line
 from xray_drake.inspector.layers import LAYERS
 from xray_drake.inspector.replay import (
     Replay,
@@ -203,7 +204,7 @@ class InspectorPage:
             heap = make_heap(scenario, progress=self._progress("dropping"))
             self._label_last("deciding …")
             self._show(first_decision(scenario, heap))
-        except (RuntimeError, ValueError) as error:
+        except (*BREAKDOWNS, ValueError) as error:
             self._fail(error)
 
     def _search(self) -> None:
@@ -216,7 +217,7 @@ class InspectorPage:
                     progress=self._progress("searching"),
                 )
             )
-        except RuntimeError as error:
+        except BREAKDOWNS as error:
             self._fail(error)
 
     def _progress(self, what: str) -> Callable[[float], None]:
@@ -225,8 +226,8 @@ class InspectorPage:
         self._label_last(f"{what} … 0%")
         return lambda share: self._label_last(f"{what} … {share:.0%}")
 
-    def _fail(self, error: Exception) -> None:
-        self._announce(" ".join(str(error).split()))
+    def _fail(self, error: BaseException) -> None:
+        self._announce(one_line(error))
         self._label_last()
 
     def _moved(self) -> dict[str, float]:

@@ -15,6 +15,7 @@ from scipy.stats import truncnorm
 
 from xray_drake.choices import TALL_TARGETS
 from xray_drake.configuration import choice, count, number
+from xray_drake.faults import BREAKDOWNS
 from xray_drake.geometry.resting import RestingPose, lean, resting_poses
 from xray_drake.geometry.tilt import tilt
 from xray_drake.scene.contact import ContactConfig, angular_damping
@@ -393,7 +394,7 @@ class _Drop:
     def _advance(self, duration: float) -> None:
         try:
             self._simulator.AdvanceTo(self._root.get_time() + duration)
-        except RuntimeError as error:
+        except BREAKDOWNS as error:
             raise HeapError(f"the simulation stopped: {error}") from error
         if not np.isfinite(self._plant.GetPositions(self._context)).all():
             raise HeapError("the simulation went to NaN")

@@ -10,11 +10,10 @@ being made.
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -27,7 +26,7 @@ from xray_drake.dataset.images import labelled_images
 from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardReader, open_shard
+from xray_drake.dataset.shards import ShardError, ShardReader, open_shard
 from xray_drake.dataset.virtual import HIDDEN, is_virtual, virtual_sample
 from xray_drake.files import remove_leftovers, sole_writer, write_whole_file
 from xray_drake.geometry.camera import PinholeCamera
@@ -35,8 +34,8 @@ from xray_drake.occupancy.networks.inputs import (
     geometry_input,
     size_features,
 )
+from xray_drake.processes import Died, Failed, JobProcesses, Sent
 from xray_drake.seeding import stream
-from xray_drake.threads import limit_threads
 from xray_drake.training.disturbance import believed_camera
 from xray_drake.training.items import Item, make_item, pack, unpack
 from xray_drake.training.teacher import expected_occupancy
@@ -173,6 +172,7 @@ def prepare(
         ShardError: a damaged shard.
         InUseError: another process makes items in their folder.
         OSError: the items cannot be written.
+        RuntimeError: a fault, or a process died; the message names the shard.
     """
     missing = [job for job in jobs if not job[1].is_file()]
     done = len(jobs) - len(missing)
@@ -180,31 +180,43 @@ def prepare(
     if not missing:
         return
     folders = sorted({path.parent for _, path in missing})
-    limit_threads()
-    context = get_context("forkserver")
-    # Forked from a server that has imported everything, a process starts at
-    # once; one that is spawned takes seconds.
-    context.set_forkserver_preload(["xray_drake.training.prepare"])
     with ExitStack() as stack:
         for folder in folders:
             folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(sole_writer(folder))
             remove_leftovers(folder)
-        pool = stack.enter_context(
-            ProcessPoolExecutor(workers, mp_context=context)
+        events = JobProcesses(
+            partial(_prepare_job, config, validation_share),
+            missing,
+            workers=workers,
+            preload=["xray_drake.training.prepare"],
         )
-        futures = [
-            pool.submit(prepare_shard, *job, config, validation_share)
-            for job in missing
-        ]
-        try:
-            for future in as_completed(futures):
-                future.result()
-                done += 1
-                yield done
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for event in events:
+            match event:
+                case Sent(value=None):
+                    done += 1
+                    yield done
+                case Sent(value=error):
+                    raise error
+                case Failed(job=(shard, _)) as failed:
+                    raise failed.error(f"{shard}: {failed.reason}")
+                case Died(job=(shard, _), again=False) as died:
+                    raise RuntimeError(f"{shard}: its process {died.reason}")
+
+
+def _prepare_job(
+    config: PrepareConfig,
+    validation_share: float,
+    job: tuple[Path, Path],
+    send: Callable[[ShardError | OSError | None], None],
+) -> None:
+    """Makes the items of a shard in a process; sends what is wrong with it."""
+    try:
+        prepare_shard(*job, config, validation_share)
+    except (ShardError, OSError) as error:
+        send(error)
+    else:
+        send(None)
 
 
 def _item_name(
