@@ -33,6 +33,7 @@ def test_it_finds_a_machine_that_runs_these_tests_fit() -> None:
         "models",
         "rendering without a screen",
         "weights",
+        "caches",
         "threads",
     ):
         assert line_about(lines, what).startswith("ok ")

@@ -11,6 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 from rich.console import Console
 
+from xray_drake.threads import usable_cores
+
 SYSTEM_LIBRARIES = {
     "EGL": "libegl1",
     "glib-2.0": "libglib2.0-0",
@@ -72,9 +74,14 @@ def findings() -> Iterator[Finding]:
         _weights,
         "reinstall xray-drake, or give a file with --weights",
     )
-    cores = os.cpu_count() or 1
+    yield _try("caches", _caches, "set TMPDIR to a folder that can be written")
+    cores, usable = os.cpu_count() or 1, usable_cores()
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    yield Finding("threads", True, f"{cores} cores, OMP_NUM_THREADS {threads}")
+    yield Finding(
+        "threads",
+        True,
+        f"{usable} of {cores} cores may be used, OMP_NUM_THREADS {threads}",
+    )
     yield Finding(
         "graphviz",
         shutil.which("dot") is not None,
@@ -133,6 +140,14 @@ def _weights() -> str:
 
     path = default_weights()
     return f"{path}: {read_card(path).architecture}"
+
+
+def _caches() -> str:
+    from xray_drake.caches import cache_folder
+    from xray_drake.kernels import cache_path
+
+    compiled = cache_path() or "memory alone"
+    return f"meshes in {cache_folder()}, compiled functions in {compiled}"
 
 
 def _render() -> str:

@@ -5,10 +5,11 @@ that is read-only, so that only the first process pays.
 """
 
 import numpy as np
-from numba import njit
+
+from xray_drake.kernels import kernel
 
 
-@njit(cache=True)
+@kernel()
 def draw_nearest(
     points: np.ndarray,
     nearness: np.ndarray,

@@ -1,16 +1,16 @@
 """The labels that an image may have, as a histogram for each pixel."""
 
-import numba
 import numpy as np
 from scipy.special import ndtr
 
+from xray_drake.kernels import kernel
 from xray_drake.occupancy.metrics import POSITIVE, TOLERANCE
 
 LEVELS = 40
 """Values of a label are told apart in steps of a fortieth."""
 
 
-@numba.njit(cache=True)
+@kernel()
 def label_histogram(
     rasters: np.ndarray,
     raster: np.ndarray,

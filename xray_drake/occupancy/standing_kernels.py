@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.height_map import draw_nearest
+from xray_drake.kernels import kernel
 
 _OUT = -1
 """What stands for the count of a candidate that does not keep in place."""
@@ -90,21 +90,21 @@ class Tiles(NamedTuple):
     heights: np.ndarray
 
 
-@njit(cache=True)
+@kernel()
 def _canvas(drawing: Drawing) -> np.ndarray:
     """Returns what ``draw_body`` overwrites."""
     width = 2 * drawing.reach + 1
     return np.empty((width, width), dtype=np.float32)
 
 
-@njit(cache=True)
+@kernel()
 def _room_for_runs(canvas: np.ndarray) -> np.ndarray:
     """Returns what ``_runs`` overwrites."""
     width = canvas.shape[0]
     return np.empty(((width // 2 + 1) * width, 3), dtype=np.int64)
 
 
-@njit(cache=True)
+@kernel()
 def _room_for_tiles(canvas: np.ndarray) -> Tiles:
     """Returns what ``_tiles`` overwrites."""
     return Tiles(
@@ -116,7 +116,7 @@ def _room_for_tiles(canvas: np.ndarray) -> Tiles:
     )
 
 
-@njit(cache=True)
+@kernel()
 def _origin(u: float, v: float, drawing: Drawing) -> tuple[float, float]:
     """Returns x and y of the axis that is seen at a pixel."""
     ray, center = drawing.camera.ray, drawing.camera.center
@@ -127,7 +127,7 @@ def _origin(u: float, v: float, drawing: Drawing) -> tuple[float, float]:
     return x, y
 
 
-@njit(cache=True)
+@kernel()
 def draw_body(
     drawing: Drawing, pixel: np.ndarray, canvas: np.ndarray
 ) -> np.ndarray:
@@ -176,7 +176,7 @@ def draw_body(
     return box
 
 
-@njit(cache=True)
+@kernel()
 def _draw_in_block(
     drawing: Drawing, corner: np.ndarray, side: int, canvas: np.ndarray
 ) -> np.ndarray:
@@ -187,7 +187,7 @@ def _draw_in_block(
     return draw_body(drawing, pixel, canvas)
 
 
-@njit(cache=True)
+@kernel()
 def _spans(
     box: np.ndarray, reach: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -205,7 +205,7 @@ def _spans(
     )
 
 
-@njit(cache=True)
+@kernel()
 def _runs(canvas: np.ndarray, box: np.ndarray, runs: np.ndarray) -> int:
     """Lists a silhouette's runs; returns their number.
 
@@ -236,7 +236,7 @@ def _runs(canvas: np.ndarray, box: np.ndarray, runs: np.ndarray) -> int:
     return count
 
 
-@njit(cache=True)
+@kernel()
 def _tiles(
     canvas: np.ndarray, box: np.ndarray, tiles: Tiles
 ) -> tuple[int, int]:
@@ -295,7 +295,7 @@ def with_neighbours(observed: np.ndarray) -> np.ndarray:
     )
 
 
-@njit(cache=True)
+@kernel()
 def _shows(
     v: int,
     u: int,
@@ -336,7 +336,7 @@ def _shows(
     return seen
 
 
-@njit(cache=True)
+@kernel()
 def _keeps(
     u: int,
     v: int,
@@ -363,7 +363,7 @@ def _keeps(
     return room[0] <= x <= room[1] and room[2] <= y <= room[3]
 
 
-@njit(cache=True)
+@kernel()
 def count_hidden(
     observed: np.ndarray,
     blocks: np.ndarray,
@@ -418,7 +418,7 @@ def count_hidden(
     return accepted
 
 
-@njit(cache=True)
+@kernel()
 def _add(
     change: np.ndarray,
     runs: np.ndarray,
@@ -435,7 +435,7 @@ def _add(
             change[row, min(max(u + runs[i, 2], 0), width)] -= weight
 
 
-@njit(cache=True)
+@kernel()
 def count_common(
     running: np.ndarray,
     blocks: np.ndarray,
@@ -483,7 +483,7 @@ def count_common(
     return common
 
 
-@njit(cache=True)
+@kernel()
 def count_shown(
     observed: np.ndarray,
     common: np.ndarray,
@@ -555,7 +555,7 @@ def count_shown(
     return shown
 
 
-@njit(cache=True)
+@kernel()
 def add_accepted(
     accepted: np.ndarray,
     weights: np.ndarray,

@@ -22,11 +22,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numba
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
+from xray_drake.kernels import kernel
 from xray_drake.scene import library
 from xray_drake.scene.families import (
     FAMILIES,
@@ -271,7 +271,7 @@ class Catalogue:
         return best, name
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _least_bounds(  # type: ignore[no-untyped-def]
     cells, slack, field, other_cells, other_slack, other_field, steps, limit
 ):
