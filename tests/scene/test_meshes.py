@@ -1,6 +1,10 @@
 import json
 import logging
+import os
 import re
+import signal
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -11,9 +15,10 @@ from xray_drake.scene.meshes import (
     MAX_VERTICES,
     LossLimits,
     import_meshes,
+    importer,
     load_meshes,
 )
-from xray_drake.scene.meshes.prepare import Settings, prepare
+from xray_drake.scene.meshes.prepare import Settings, prepare, prepare_cached
 from xray_drake.scene.shapes import cup
 
 
@@ -237,24 +242,93 @@ def test_an_open_surface_is_skipped(folder, caplog):
     check_skipped(folder, caplog, "tray.stl", "not closed: filling its holes")
 
 
-def test_a_failing_library_costs_one_file(folder, caplog, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("no\nhull")
+def trouble(paths, settings, cache, index, send):
+    """Prepares a mesh; native code does to some of them what it may do."""
+    match paths[index].stem:
+        case "crash":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        case "memory":
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "slow":
+            time.sleep(600)
+        case "assertion":
+            sys.exit("Failure at qhull.cc:1: condition 'x'\n failed.")
+        case "fault":
+            np.zeros(3) + np.zeros(4)
+    send(prepare_cached(paths[index], settings, cache))
 
-    name = "xray_drake.scene.meshes.decompose.merged_pieces"
-    monkeypatch.setattr(name, fail)
-    lines = ["v 0 0 0", "v .1 0 0", "v 0 .1 0", "v 0 0 .1"]
-    faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
-    moved = ["v .1 .1 .1", "v .2 .1 .1", "v .1 .2 .1", "v .1 .1 .2"]
-    more = ["f 5 7 6", "f 5 6 8", "f 5 8 7", "f 6 7 8"]
-    text = "\n".join(["o a", *lines, *faces, "o b", *moved, *more])
-    (folder / "groups.obj").write_text(text)
-    with caplog.at_level(logging.WARNING, logger="xray_drake"):
-        models = load_meshes(folder)
-    assert [model.name for model in models] == ["toys/ball", "toys/duck"]
-    reasons = [record.getMessage() for record in caplog.records]
-    assert len(reasons) == 2
-    assert all("RuntimeError: no hull" in reason for reason in reasons)
+
+@pytest.fixture
+def boxes(tmp_path):
+    """A folder of one box, in the cache already, and what is to be added."""
+    folder = tmp_path / "boxes"
+    write(folder / "good.stl", box(0.03, 0.04, 0.05))
+    import_meshes(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("file", "reason", "cached"),
+    [
+        ("crash", r"its process was killed by SIGSEGV \(2 times\)", True),
+        ("memory", r"killed by SIGKILL, perhaps since memory ran out", False),
+        ("slow", r"takes longer than 0\.5 s", True),
+        ("assertion", r"SystemExit: Failure at qhull\.cc:1: cond.* failed", 0),
+        ("fault", r"ValueError: operands could not be broadcast", False),
+    ],
+)
+def test_native_code_costs_one_file(
+    boxes, caplog, monkeypatch, file, reason, cached
+):
+    monkeypatch.setattr(importer, "_prepare", trouble)
+    options = {"time_limit": 0.5} if file == "slow" else {}
+    write(boxes / f"{file}.stl", box(0.03, 0.04, 0.06))
+    caplog.set_level(logging.DEBUG, logger="xray_drake")
+    for from_cache in (1, 1 + cached):
+        caplog.clear()
+        made = import_meshes(boxes, **options)
+        assert len(made.models) == 1
+        assert made.from_cache == from_cache
+        (told,) = [r for r in caplog.records if r.levelname == "WARNING"]
+        assert "\n" not in told.getMessage()
+        assert f"{file}.stl" in told.getMessage()
+        assert re.search(reason, told.getMessage())
+    # The traceback of a fault is in the log.
+    fault = file in ("assertion", "fault")
+    assert ("in trouble" in caplog.text) == fault
+
+
+def test_what_took_too_long_has_another_chance_with_more_time(
+    boxes, monkeypatch
+):
+    monkeypatch.setattr(importer, "_prepare", trouble)
+    write(boxes / "slow.stl", box(0.03, 0.04, 0.06))
+    assert len(import_meshes(boxes, time_limit=0.5).models) == 1
+    monkeypatch.undo()
+    cache = {"cache_dir": boxes.parent / "cache" / "meshes"}
+    assert import_meshes(boxes, time_limit=0.4, **cache).from_cache == 2
+    assert len(import_meshes(boxes, time_limit=100, **cache).models) == 2
+
+
+def test_what_is_not_used_is_named(folder, caplog):
+    """Links, names of masses, files of odd names."""
+    (folder / "annex.obj").symlink_to("nothing")
+    (folder / "masses.json").write_text('{"bench.obj": 0.4, "stool": 0.2}')
+    write(folder / "new\nline.stl", box(0.3, 0.4, 0.5))
+    caplog.set_level(logging.WARNING, logger="xray_drake")
+    made = import_meshes(folder)
+    assert {m.name: m.mass for m in made.models}["toys/bench"] == 0.4
+    masses, annex, odd = (record.getMessage() for record in caplog.records)
+    assert "'stool'" in masses
+    assert "bench" not in masses
+    assert "annex.obj: it is a link to nothing" in annex
+    assert "new_line.stl: its longest side" in odd
+
+
+def test_a_daemonic_process_imports_too(folder, monkeypatch):
+    """It may not have children: those of gymnasium's vector environments."""
+    monkeypatch.setattr(importer, "can_start_processes", lambda: False)
+    assert len(load_meshes(folder)) == 3
 
 
 @pytest.mark.parametrize(
@@ -332,18 +406,18 @@ def test_the_second_time_comes_from_the_cache(folder, cache, monkeypatch):
     assert len(list(cache.glob("*.npz"))) == 3
     assert not [f for f in cache.iterdir() if f.suffix != ".npz"]
 
-    def fail(*_):
-        raise AssertionError("prepared again")
+    def fail(_, files, **__):
+        assert not files, "prepared again"
+        return []
 
-    name = "xray_drake.scene.meshes.prepare.prepare"
-    monkeypatch.setattr(name, fail)
+    monkeypatch.setattr(importer, "JobProcesses", fail)
     (folder / "bench.obj").rename(folder / "stool.obj")
     second = import_meshes(folder)
     assert second.from_cache == 3
     assert same(first.models[0], second.models[0])
     assert [model.name for model in second.models][-1] == "toys/stool"
     for options in ({"max_vertices": 16}, {"scale": 0.5}, {"max_pieces": 3}):
-        with pytest.raises(ValueError, match="prepared again"):
+        with pytest.raises(AssertionError, match="prepared again"):
             import_meshes(folder, **options)
 
 
@@ -365,8 +439,10 @@ def test_reasons_are_kept_too(folder, monkeypatch):
 
 def test_damaged_cache_files_are_made_anew(folder, cache):
     first = import_meshes(folder)
-    empty, cut, other = sorted(cache.glob("*.npz"))
-    empty.write_bytes(b"")
+    cut, flipped, other = sorted(cache.glob("*.npz"))
+    content = bytearray(flipped.read_bytes())
+    content[200:260] = bytes(60)
+    flipped.write_bytes(content)
     cut.write_bytes(cut.read_bytes()[:1000])
     np.savez(other, wrong=np.zeros(3))
     second = import_meshes(folder)

@@ -134,11 +134,9 @@ def _generate(
         resumed=resumed,
     )
     done = manifest.num_samples - sum(shard.count for shard in missing)
-    if options.overrides.get("scene.meshes"):
+    scenario = configure(options.scenario, options.overrides, searched=False)
+    if scenario.scene.meshes:
         # Decomposed once, by all processes together; workers find the cache.
-        scenario = configure(
-            options.scenario, options.overrides, searched=False
-        )
         imported_objects(scenario, workers=options.workers)
     start, reports = time.monotonic(), []
     with Progress(

@@ -105,7 +105,10 @@ def imported_objects(
     for folder in scenario.scene.meshes:
         try:
             models = load_meshes(
-                Path(folder), scale=scenario.scene.mesh_scale, workers=workers
+                Path(folder),
+                scale=scenario.scene.mesh_scale,
+                time_limit=scenario.scene.mesh_time_limit,
+                workers=workers,
             )
         except ValueError as error:
             raise ScenarioError(str(error)) from error

@@ -48,6 +48,7 @@ from xray_drake.configuration import (
     with_paths,
     write_tree,
 )
+from xray_drake.faults import BREAKDOWNS
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
@@ -116,6 +117,9 @@ class SceneConfig:
     meshes: list[str] = path_list()
     # Factor from the meshes' unit to metres.
     mesh_scale: float = number(1.0, "(0, 1000000]")
+    # s that preparing one of the meshes may take; it is left out if it takes
+    # longer.
+    mesh_time_limit: float = number(300.0, "(0, 1000000]")
     # A heap whose target starts more visible than this is drawn again; at 1
     # all heaps count.
     most_visible: float = number(1.0, "[0, 1]")
@@ -521,7 +525,7 @@ def _check_camera(config: CameraConfig, source: str) -> None:
     try:
         check_renderer(config)
         check_view(config)
-    except (RuntimeError, ValueError) as error:
+    except (*BREAKDOWNS, ValueError) as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: camera: {message}") from error
 
@@ -529,7 +533,7 @@ def _check_camera(config: CameraConfig, source: str) -> None:
 def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
     try:
         AddMultibodyPlant(config=config, builder=DiagramBuilder())
-    except RuntimeError as error:
+    except BREAKDOWNS as error:
         message = " ".join(str(error).split())
         raise ScenarioError(f"{source}: plant_config: {message}") from error
 

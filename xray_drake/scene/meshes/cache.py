@@ -3,8 +3,6 @@
 import hashlib
 import io
 import logging
-import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,20 +11,6 @@ import numpy as np
 from xray_drake.files import write_whole_file
 
 _logger = logging.getLogger(__name__)
-
-
-def default_cache_dir() -> Path:
-    """Returns where imported meshes are kept.
-
-    ``XRAY_DRAKE_CACHE`` where it is set, else ``xray_drake`` in
-    ``XDG_CACHE_HOME`` or ``~/.cache``; in it, ``meshes``.
-    """
-    own = os.environ.get("XRAY_DRAKE_CACHE")
-    if own:
-        return Path(own) / "meshes"
-    shared = os.environ.get("XDG_CACHE_HOME")
-    root = Path(shared) if shared else Path.home() / ".cache"
-    return root / "xray_drake" / "meshes"
 
 
 def content_key(paths: list[Path], settings: str) -> str:
@@ -50,8 +34,9 @@ def read_arrays(folder: Path, key: str) -> dict[str, np.ndarray] | None:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-        _logger.debug("damaged cache file %s", path)
+    except Exception:
+        # Bytes of a damaged file raise anything, zlib's own errors too.
+        _logger.debug("damaged cache file %s", path, exc_info=True)
         return None
 
 

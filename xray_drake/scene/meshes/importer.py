@@ -1,30 +1,48 @@
 """Imports the objects of a folder of mesh files."""
 
 import logging
-import multiprocessing
+import signal
 import zlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from xray_drake.caches import cache_folder
+from xray_drake.faults import one_line
+from xray_drake.processes import (
+    Died,
+    Failed,
+    JobProcesses,
+    Overran,
+    Sent,
+    can_start_processes,
+)
 from xray_drake.scene.colors import distractor_color
-from xray_drake.scene.meshes.cache import default_cache_dir
-from xray_drake.scene.meshes.files import MeshFile, find_meshes, read_masses
+from xray_drake.scene.meshes.files import (
+    MASSES_FILE,
+    MeshFile,
+    find_meshes,
+    masses_of,
+    printable,
+    read_masses,
+)
 from xray_drake.scene.meshes.losses import Losses, LossLimits
 from xray_drake.scene.meshes.prepare import (
     Outcome,
     Prepared,
     Settings,
+    keep_reason,
     prepare_cached,
+    read_outcome,
 )
 from xray_drake.scene.meshes.textures import is_red
 from xray_drake.scene.object_model import ObjectModel
-from xray_drake.threads import limit_threads
 
 DEFAULT_DENSITY = 300.0
 """kg/m³ of the closed surface's inside, where the folder gives no mass."""
@@ -38,6 +56,9 @@ MAX_VERTICES = 12
 no more than is allowed, since contact costs follow them."""
 
 DEFAULT_LIMITS = LossLimits()
+
+TIME_LIMIT = 300.0
+"""s that preparing one file may take; most take a few."""
 
 _logger = logging.getLogger(__name__)
 
@@ -93,6 +114,7 @@ def import_meshes(
     max_loss: LossLimits = DEFAULT_LIMITS,
     cache_dir: Path | None = None,
     workers: int = 1,
+    time_limit: float = TIME_LIMIT,
     progress: Callable[[float], None] | None = None,
 ) -> MeshImport:
     """Reads one object per mesh under a folder, in the order of the paths.
@@ -102,14 +124,16 @@ def import_meshes(
     put with the centre of mass at the body's origin. The groups of an OBJ file
     that are convex are its pieces. Objects without a texture or colours get a
     colour drawn by name; none is red. Files that cannot be used are
-    skipped with one line in the log.
+    skipped with one line in the log; each is prepared in a process of its own,
+    which may crash, or take too long, alone.
 
     What comes of a file is kept in the cache as soon as it is known, so an
     import that was stopped goes on where it was.
 
     ``masses.json`` in the folder, where there is one, maps names to kg. A name
     is a file's path in the folder without suffix, the same of its directory,
-    or the file's stem.
+    or the file's stem; the file's suffix may follow. Names that belong to no
+    file are told in one line of the log.
 
     Args:
         folder: where to look, also in its subfolders.
@@ -119,8 +143,8 @@ def import_meshes(
         max_vertices: most vertices of each.
         max_loss: what loses more by that is rejected.
         cache_dir: where results are kept; by default in the user's cache.
-        workers: processes; a script that asks for several must be guarded by
-            ``if __name__ == "__main__"``.
+        workers: processes at a time.
+        time_limit: s; a file that takes longer to prepare is skipped.
         progress: called after each file with the share done, in [0, 1].
 
     Returns:
@@ -133,14 +157,20 @@ def import_meshes(
             makes no sense.
     """
     folder = Path(folder)
-    _check(scale, density, max_pieces, max_vertices, workers)
+    _check(scale, density, max_pieces, max_vertices, workers, time_limit)
     files = find_meshes(folder)
-    masses = read_masses(folder)
+    masses, idle = masses_of(files, read_masses(folder))
+    if idle:
+        _logger.warning(
+            "%s: no mesh is called %s", folder / MASSES_FILE, _some(idle)
+        )
     settings = Settings(scale, max_pieces, max_vertices, max_loss)
-    cache = default_cache_dir() if cache_dir is None else Path(cache_dir)
+    cache = cache_folder() / "meshes" if cache_dir is None else Path(cache_dir)
 
     outcomes: dict[int, Outcome] = {}
-    for index, outcome in _prepare_all(files, settings, cache, workers):
+    for index, outcome in _prepare_all(
+        files, settings, cache, workers, time_limit
+    ):
         outcomes[index] = outcome
         if progress is not None:
             progress(len(outcomes) / len(files))
@@ -153,11 +183,10 @@ def import_meshes(
                 raise ValueError(outcome.reason)
             lost = Losses(*map(float, outcome.prepared.losses))
             max_loss.check(lost)
-            mass = next((masses[k] for k in file.keys if k in masses), None)
-            model = _model(file.name, outcome.prepared, mass, density)
+            model = _model(file.name, outcome.prepared, masses[index], density)
         except ValueError as error:
             rejected.append((file.path, str(error)))
-            _logger.warning("skipped %s: %s", file.path, error)
+            _logger.warning("skipped %s: %s", printable(str(file.path)), error)
             continue
         models.append(model)
         losses[model.name] = lost
@@ -177,34 +206,87 @@ def import_meshes(
         path, reason = rejected[0]
         raise ValueError(
             f"none of the {len(files)} mesh files in {folder} can be used; "
-            f"{path.name}: {reason}"
+            f"{printable(path.name)}: {reason}"
         )
     _logger.info("%s: %s", folder, result.summary())
     return result
 
 
 def _prepare_all(
-    files: list[MeshFile], settings: Settings, cache: Path, workers: int
+    files: list[MeshFile],
+    settings: Settings,
+    cache: Path,
+    workers: int,
+    time_limit: float,
 ) -> Iterator[tuple[int, Outcome]]:
     """Yields index and outcome of each file, as they are ready."""
-    if workers == 1:
-        for index, file in enumerate(files):
-            yield index, prepare_cached(file.path, settings, cache)
+    missing = []
+    for index, file in enumerate(files):
+        known: Outcome | None = Outcome(None, file.problem)
+        if not file.problem:
+            known = read_outcome(file.path, settings, cache, time_limit)
+        if known is None:
+            missing.append(index)
+        else:
+            yield index, known
+    if not can_start_processes():
+        for index in missing:
+            try:
+                outcome = prepare_cached(files[index].path, settings, cache)
+            except (Exception, SystemExit) as error:
+                outcome = _failed(one_line(error))
+            yield index, outcome
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, mp_context=context, initializer=limit_threads
-    ) as pool:
-        futures = {
-            pool.submit(prepare_cached, file.path, settings, cache): index
-            for index, file in enumerate(files)
-        }
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    paths = [file.path for file in files]
+    processes = JobProcesses(
+        partial(_prepare, paths, settings, cache),
+        missing,
+        workers=workers,
+        preload=["xray_drake.scene.meshes.prepare"],
+        limit=time_limit,
+    )
+    for event in processes:
+        index = event.job
+        keep = partial(keep_reason, paths[index], settings, cache)
+        match event:
+            case Sent(value=outcome):
+                yield index, outcome
+            case Overran():
+                reason = f"preparing it takes longer than {time_limit:g} s"
+                yield index, keep(reason, time_limit)
+            case Failed(reason=reason, traceback=traceback):
+                _logger.debug("%s\n%s", paths[index], traceback)
+                yield index, _failed(reason)
+            case Died(again=False) as died:
+                reason = f"its process {died.reason}"
+                # Memory that ran out may suffice another time.
+                killed = died.status == -signal.SIGKILL
+                yield index, Outcome(None, reason) if killed else keep(reason)
+
+
+def _failed(reason: str) -> Outcome:
+    return Outcome(None, f"cannot be decomposed ({reason[:200]})")
+
+
+def _prepare(
+    paths: list[Path],
+    settings: Settings,
+    cache: Path,
+    index: int,
+    send: Callable[[Outcome], None],
+) -> None:
+    """Prepares one file, in a process of its own."""
+    with suppress(OSError):
+        # Where memory runs out, Linux ends this process and not another.
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="utf-8")
+    send(prepare_cached(paths[index], settings, cache))
+
+
+def _some(names: list[str], most: int = 5) -> str:
+    """Names the first of many."""
+    text = ", ".join(map(repr, names[:most]))
+    more = len(names) - most
+    return f"{text} and {more} more" if more > 0 else text
 
 
 def _model(
@@ -244,8 +326,13 @@ def _check(
     max_pieces: int,
     max_vertices: int,
     workers: int,
+    time_limit: float,
 ) -> None:
-    for name, value in (("scale", scale), ("density", density)):
+    for name, value in (
+        ("scale", scale),
+        ("density", density),
+        ("time_limit", time_limit),
+    ):
         if not 0 < value < np.inf:
             raise ValueError(f"{name} must be positive and finite, not {value}")
     for name, count, least in (

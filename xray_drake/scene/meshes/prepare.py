@@ -1,6 +1,5 @@
 """Makes of one mesh file what a heap needs: the slow part of the import."""
 
-import logging
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
+from xray_drake.faults import is_fault, one_line
 from xray_drake.scene.meshes.cache import (
     content_key,
     read_arrays,
@@ -33,8 +33,6 @@ VISUAL_DEVIATION = 0.0005
 
 _SAMPLES = 30_000
 _NEAREST = 6
-
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -128,32 +126,81 @@ class Outcome:
     kept: bool = True
 
 
-def prepare_cached(path: Path, settings: Settings, cache: Path) -> Outcome:
-    """Prepares a file, or reads from the cache what became of it before."""
+def read_outcome(
+    path: Path, settings: Settings, cache: Path, time_limit: float
+) -> Outcome | None:
+    """Reads from the cache what became of a file before.
+
+    Args:
+        path: of the file.
+        settings: of the import.
+        cache: folder.
+        time_limit: s. That it took longer counts only for a limit that was not
+            lower.
+
+    Returns:
+        Also that it cannot be read; ``None`` where it is to be prepared.
+    """
     try:
-        sources = [path, *side_files(path)]
-        key = content_key(sources, f"{ALGORITHM} {settings}")
+        arrays = read_arrays(cache, _key(path, settings))
     except OSError as error:
         return Outcome(None, f"cannot be read ({error.strerror})")
-    arrays = read_arrays(cache, key)
-    if arrays is not None:
-        if set(arrays) == {"reason"}:
-            return Outcome(None, str(arrays["reason"]), cached=True)
-        if set(arrays) == {item.name for item in fields(Prepared)}:
-            return Outcome(Prepared(**arrays), cached=True)
+    except MemoryError:
+        return Outcome(None, "cannot be read (too large for the memory)")
+    if arrays is None:
+        return None
+    if set(arrays) == {"reason", "time_limit"}:
+        if arrays["time_limit"] < time_limit:
+            return None
+        return Outcome(None, str(arrays["reason"]), cached=True)
+    if set(arrays) == {item.name for item in fields(Prepared)}:
+        return Outcome(Prepared(**arrays), cached=True)
+    return None
+
+
+def keep_reason(
+    path: Path,
+    settings: Settings,
+    cache: Path,
+    reason: str,
+    time_limit: float = np.inf,
+) -> Outcome:
+    """Returns that a file cannot be used, and keeps it in the cache.
+
+    Args:
+        path: of the file.
+        settings: of the import.
+        cache: folder.
+        reason: one line.
+        time_limit: s, which it took longer than, where that is the reason.
+    """
+    arrays = {"reason": np.array(reason), "time_limit": np.array(time_limit)}
+    try:
+        kept = write_arrays(cache, _key(path, settings), arrays)
+    except OSError:  # the file is gone
+        kept = False
+    return Outcome(None, reason, kept=kept)
+
+
+def prepare_cached(path: Path, settings: Settings, cache: Path) -> Outcome:
+    """Prepares a file and keeps what becomes of it in the cache.
+
+    Raises:
+        Exception: geometry libraries throw all kinds.
+    """
     try:
         prepared = prepare(path, settings)
     except ValueError as error:
-        reason = str(error)
-        kept = write_arrays(cache, key, {"reason": np.array(reason)})
-        return Outcome(None, reason, kept=kept)
-    except Exception as error:
-        # Geometry libraries throw all kinds; the other files are still good.
-        words = " ".join(f"{type(error).__name__}: {error}".split())
-        _logger.debug("%s", path, exc_info=True)
-        return Outcome(None, f"cannot be decomposed ({words[:200]})")
-    kept = write_arrays(cache, key, vars(prepared))
-    return Outcome(prepared, kept=kept)
+        if is_fault(error):
+            raise
+        return keep_reason(path, settings, cache, one_line(error))
+    key = _key(path, settings)
+    return Outcome(prepared, kept=write_arrays(cache, key, vars(prepared)))
+
+
+def _key(path: Path, settings: Settings) -> str:
+    sources = [path, *side_files(path)]
+    return content_key(sources, f"{ALGORITHM} {settings}")
 
 
 def prepare(path: Path, settings: Settings) -> Prepared:
