@@ -368,7 +368,7 @@ def differences(tree: dict[str, Any], defaults: dict[str, Any]) -> dict:
     """
     kept = {}
     for key, value in tree.items():
-        default = defaults.get(key)
+        default: Any = defaults.get(key)
         if key in defaults and value == default:
             continue
         plain = all(

@@ -36,14 +36,20 @@ def depth_readings(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
         the floor.
 
     Raises:
-        ValueError: an image of integers, or one in which hardly anything lies
-            over the floor, as when its depths are not in metres.
+        ValueError: an image of integers, a camera that is not above the floor,
+            or an image in which hardly anything lies over the floor, as when
+            its depths are not in metres.
     """
     depth = np.asarray(depth)
     if depth.dtype.kind != "f":
         raise ValueError(
             f"the depth image is of {depth.dtype}: sensors give integers in "
             "millimetres; give metres, as depth / 1000.0 makes them"
+        )
+    if camera.X_WC[2, 3] <= 0:
+        raise ValueError(
+            f"the camera must be above the floor, not at z = "
+            f"{camera.X_WC[2, 3]:.3f} m"
         )
     depth = depth.astype(np.float32, copy=False)
     limit = np.float32(-FAR_BELOW - camera.X_WC[2, 3])

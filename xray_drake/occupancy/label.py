@@ -201,11 +201,6 @@ def _check(
             "the target's depth image has NaN; where there is no target it "
             "must be 0 or inf"
         )
-    if camera.X_WC[2, 3] <= 0:
-        raise ValueError(
-            f"the camera must be above the floor, not at z = "
-            f"{camera.X_WC[2, 3]:.3f} m"
-        )
     if len(config.floor) != 4:
         raise ValueError(
             f"the floor has four bounds (x low, x high, y low, y high), not "
