@@ -26,7 +26,7 @@ import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeGuard, TypeVar
 
 import numpy as np
 import yaml
@@ -371,14 +371,15 @@ def differences(tree: dict[str, Any], defaults: dict[str, Any]) -> dict:
         default: Any = defaults.get(key)
         if key in defaults and value == default:
             continue
-        plain = all(
-            isinstance(part, dict) and part and "_tag" not in part
-            for part in (value, default)
-        )
-        if plain:
+        if _is_plain(value) and _is_plain(default):
             value = differences(value, default)
         kept[key] = value
     return kept
+
+
+def _is_plain(part: Any) -> TypeGuard[dict[str, Any]]:
+    """Says whether it is keys and values without a tag."""
+    return isinstance(part, dict) and bool(part) and "_tag" not in part
 
 
 def read_text(path: Path) -> str:
