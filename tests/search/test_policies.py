@@ -12,7 +12,7 @@ from xray_drake.choices import POLICIES
 from xray_drake.grasping.planner import ModelGraspPlanner
 from xray_drake.gripper.quasi_static import QuasiStaticGripper
 from xray_drake.policy import policies
-from xray_drake.policy.ranking import RANKINGS, SearchView
+from xray_drake.policy.ranking import RANKINGS, Scores, SearchView
 from xray_drake.policy.system import SearchPolicy
 from xray_drake.scene.heap import Heap
 from xray_drake.search import diagram as module
@@ -29,9 +29,7 @@ class Recorder:
     def __init__(self) -> None:
         self.seen: list[tuple[Any, ...]] = []
 
-    def __call__(
-        self, view: SearchView, rng: np.random.Generator
-    ) -> np.ndarray:
+    def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
         self.seen.append(
             (
                 view.candidates,
@@ -44,7 +42,8 @@ class Recorder:
         areas = dict(
             zip(view.instances.names, view.instances.areas(), strict=True)
         )
-        return np.array([[float(areas[name])] for name in view.candidates])
+        values = np.array([[float(areas[name])] for name in view.candidates])
+        return Scores(values, np.ones(len(values), bool))
 
 
 def nameless(record: SearchRecord) -> dict[str, Any]:
