@@ -19,6 +19,7 @@ from xray_drake.dataset.shards import ShardReader, read_shard, write_shard
 from xray_drake.files import sole_writer
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy.networks.weights import WeightsError
 from xray_drake.provenance import Provenance, describe, read_runs
 
 COUNT = 4
@@ -84,7 +85,7 @@ class _Networks(ModuleType):
         dtype: str = "float32",
     ) -> Any:
         if path.stem == "gone":
-            raise ValueError(f"{path} holds no weights")
+            raise WeightsError(f"{path} holds no weights")
         self.loaded.append((path.stem, tuple(target_size.tolist())))
         self.dtypes.add(dtype)
 

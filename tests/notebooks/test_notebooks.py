@@ -165,8 +165,10 @@ def test_compare_policies(
     heaps, table, more = [t for kind, t in outputs if kind == "text/markdown"]
     assert heaps.startswith("| seed | random | largest | xray (learned) |")
     (row,) = [r for r in table.splitlines() if r.startswith("| xray")]
-    rate, _, rollouts, _, paper, quartiles = row.strip("| ").split(" | ")[1:]
-    assert (rollouts, paper, quartiles) == ("2", "82 %", "3, 5, 6")
+    rate, _, rollouts, _ = row.strip("| ").split(" | ")[1:]
+    assert rollouts == "2"
+    # Its figures are of another number of objects and actions.
+    assert "paper" not in table
     # The rate is that of the table heap by heap.
     cells = [r.split(" | ")[3] for r in heaps.splitlines()[2:]]
     successes = sum(cell != "–" for cell in cells)

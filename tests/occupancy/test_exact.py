@@ -372,6 +372,7 @@ def test_wrong_input_is_named() -> None:
     X_WC = camera.X_WC.copy()
     X_WC[2, 3] = 0.001
     low = PinholeCamera(512, 384, camera.intrinsics, X_WC)
+    depth = np.full_like(depth, 0.001)
     with pytest.raises(ValueError, match="above the target"):
         inference.infer(depth, NOTHING, low)
     with pytest.raises(ValueError, match="at least one rotation"):

@@ -279,7 +279,8 @@ def test_a_mask_that_no_pose_meets_is_the_answer() -> None:
 )
 def test_wrong_numbers_are_named(wrong: dict[str, float]) -> None:
     config = ExactInferenceConfig(label=replace(ExpectedLabelConfig(), **wrong))
-    with pytest.raises(ValueError, match=r"exact\.label needs positive"):
+    (name,) = wrong
+    with pytest.raises(ValueError, match=rf"label\.{name} is .*: it must be"):
         ExpectedLabel(target_model("box_1to1"), config)
 
 

@@ -374,6 +374,7 @@ def test_wrong_input_is_named() -> None:
     X_WC = camera.X_WC.copy()
     X_WC[2, 3] = 0.05
     low = PinholeCamera(512, 384, camera.intrinsics, X_WC)
+    depth = np.full_like(depth, 0.05)
     with pytest.raises(ValueError, match="above the target"):
         inference.infer(depth, label == 0, low)
     with pytest.raises(ValueError, match="at least one rotation"):

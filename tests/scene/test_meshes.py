@@ -314,7 +314,7 @@ def test_what_is_not_used_is_named(folder, caplog):
     """Links, names of masses, files of odd names."""
     (folder / "annex.obj").symlink_to("nothing")
     (folder / "masses.json").write_text('{"bench.obj": 0.4, "stool": 0.2}')
-    write(folder / "new\nline.stl", box(0.3, 0.4, 0.5))
+    write(folder / "new\nline.stl", box(0.3, 0.4, 0.6))
     caplog.set_level(logging.WARNING, logger="xray_drake")
     made = import_meshes(folder)
     assert {m.name: m.mass for m in made.models}["toys/bench"] == 0.4

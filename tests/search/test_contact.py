@@ -148,11 +148,11 @@ def test_what_is_dropped_over_the_bin_is_still_there(
 ) -> None:
     scenario = by_contact(tiny_scenario)
     scenario.horizon = 1
-    scenario.gripper.contact.lost = 2.0  # no vacuum is enough
+    diagram = build_search_diagram(scenario, heap=tiny_heap)
+    # No vacuum is enough: a scenario that says so is refused.
+    scenario.gripper.contact.lost = 2.0
     watcher = Watcher()
-    record = run_search(
-        build_search_diagram(scenario, heap=tiny_heap), observers=(watcher,)
-    )
+    record = run_search(diagram, observers=(watcher,))
     assert record.end == "horizon"
     (action,) = record.actions
     assert (action.outcome, action.lifted) == (Outcome.SLIPPED, ())

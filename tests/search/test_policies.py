@@ -50,7 +50,7 @@ def nameless(record: SearchRecord) -> dict[str, Any]:
     """Returns the record without wall times and the policy's name."""
     data = stripped(record)
     name = data.pop("policy")
-    data["scenario"] = data["scenario"].replace(f"\n  name: {name}", "")
+    data["scenario"] = data["scenario"].replace(f"name: {name}, ", "")
     return data
 
 

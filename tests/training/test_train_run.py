@@ -626,7 +626,7 @@ def _line(*arguments: object) -> tuple[str, int]:
     ("options", "words", "code"),
     [
         (["--config", "gone"], "no training configuration", 2),
-        (["--config", "bad.yaml"], "bad.yaml: Key 'pases' not in", 2),
+        (["--config", "bad.yaml"], "bad.yaml: unknown key pases; did you", 2),
         (["--resume"], "there is nothing to resume", 2),
         (["--weights", "gone.safetensors"], "gone.safetensors", 2),
         (["--out", "old"], "old holds a run: give --resume", 2),

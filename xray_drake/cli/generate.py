@@ -234,7 +234,11 @@ def _summarize(
     check = check_dataset(out, deep=False)
     for defect in check.defects:
         console.print(str(defect), highlight=False, soft_wrap=True)
-    console.print(f"{manifest.num_samples} images in {out}", highlight=False)
+    console.print(
+        f"{manifest.num_samples} images in {out}",
+        highlight=False,
+        soft_wrap=True,
+    )
     if not reports:
         return
     samples = sum(report.samples for report in reports)

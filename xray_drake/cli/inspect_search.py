@@ -119,7 +119,7 @@ def _show(replay: Replay, options: PageOptions, console: Console) -> None:
     if options.html is not None:
         view.record()
         write_html(meshcat, options.html)
-        console.print(f"wrote {options.html}", highlight=False)
+        console.print(f"wrote {options.html}", highlight=False, soft_wrap=True)
     if not options.live:
         return
     console.print(

@@ -203,4 +203,4 @@ def _summarize(
     console.print(table)
     for path in options.files:
         if path.exists():
-            console.print(f"wrote {path}", highlight=False)
+            console.print(f"wrote {path}", highlight=False, soft_wrap=True)

@@ -109,4 +109,6 @@ def train(
             text = ", ".join(f"{k} {v}" for k, v in figures.items())
             console.print(f"{where}: {text}", highlight=False, soft_wrap=True)
         console.print(card.training["made by"], highlight=False, soft_wrap=True)
-        console.print(f"{out / WEIGHTS} and {out / CARD}", highlight=False)
+        console.print(
+            f"{out / WEIGHTS} and {out / CARD}", highlight=False, soft_wrap=True
+        )

@@ -14,7 +14,7 @@ class PerturbationConfig:
     """Errors of a quasi-static execution (PROTOCOL.md, Rollout)."""
 
     # Standard deviation of the position, per axis, m.
-    position_sigma: float = number(0.0025, "[0, 0.1]")
+    position_sigma: float = number(0.0025, "[0, 1]")
     # Standard deviation of the rotation's angle, rad; its axis is uniform.
     angle_sigma: float = number(0.05, "[0, 1.5708]")
     # Mean and standard deviation of the friction coefficient, and the value

@@ -61,7 +61,7 @@ class ExecutionConfig:
     lost: float = number(0.5, "[0, 1)")
     # The jaw must stop, or the cup seal, within this time, s.
     close_timeout: float = number(3.0, "(0, 600]")
-    seal_timeout: float = number(0.4, "(0, 600]")
+    seal_timeout: float = number(0.4, "[0, 600]")
     # The object is released this far over the height that it was gripped at, m.
     release_height: float = number(0.01, "[0, 0.5]")
     # Time to look whether the object is held, and to let it go, s.

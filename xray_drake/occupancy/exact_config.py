@@ -16,7 +16,7 @@ class ExpectedLabelConfig:
     # more than this share of the observed one and this number of pixels. (The
     # label asks for an IoU above 0.9.)
     tolerance: float = number(0.09, "[0, 1]")
-    pixels: float = number(0.5, "[0, 1000]")
+    pixels: float = number(0.5, "(0, 1000]")
     # The target's true pose differs from what is observed about as little as
     # the best one; less probable by e with each further difference of this
     # share of the mask and ``pixels``.
@@ -29,7 +29,7 @@ class ExpectedLabelConfig:
     cost: float = number(0.8, "(0, 10]")
     # The answer is the best one if answers are off by about this. (A network
     # that learns them is off by more: ``training.teacher``.)
-    slack: float = number(0.005, "[0, 1]")
+    slack: float = number(0.005, "(0, 1]")
     # Of a hidden target: maximum of the sum over all poses, where that over
     # poses 8 pixels apart, which is less even, is 1.
     peak: float = number(0.85, "(0, 10]")

@@ -138,7 +138,8 @@ def _train(
     steps = _steps(data)
     try:
         trainer = _trainer(config, options, data.epochs, steps)
-    except MisconfigurationException as error:
+    except (MisconfigurationException, ValueError) as error:
+        # Lightning's, of an accelerator or precision that it has not got.
         raise TrainingError(str(error)) from error
     _fit(trainer, module, data, options)
     if trainer.global_step < steps:
