@@ -5,6 +5,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 from nbformat import NotebookNode
 
@@ -48,28 +49,45 @@ def test_outputs_are_cleared(path: Path) -> None:
     assert "widgets" not in notebook.metadata
 
 
+@pytest.fixture(scope="module")
+def kernel() -> Iterator[KernelManager]:
+    """A kernel for all notebooks: its imports take longer than most of them."""
+    # What is tested is this checkout, installed or not.
+    paths = str(Path(xray_drake.__file__).parents[1]), os.getenv("PYTHONPATH")
+    manager = KernelManager(kernel_name="python3")
+    manager.start_kernel(
+        env=os.environ
+        | {
+            "XRAY_DRAKE_NOTEBOOK_TEST": "1",
+            "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+        }
+    )
+    yield manager
+    manager.shutdown_kernel(now=True)
+
+
+_AFRESH = """
+%reset -f
+import os, tempfile
+os.chdir({folder!r})
+os.environ["TMPDIR"] = tempfile.tempdir = {folder!r}
+%reset -f
+"""
+"""Nothing of the notebook before is left, but what was imported."""
+
+
 @pytest.fixture
 def execute(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kernel: KernelManager, tmp_path: Path
 ) -> Callable[[str], NotebookNode]:
     """Executes a notebook, shortened, in a folder of its own."""
-    monkeypatch.setenv("XRAY_DRAKE_NOTEBOOK_TEST", "1")
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    # What is tested is this checkout, installed or not.
-    monkeypatch.setenv(
-        "PYTHONPATH",
-        str(Path(xray_drake.__file__).parents[1]),
-        prepend=os.pathsep,
-    )
 
     def run(name: str) -> NotebookNode:
+        afresh = nbformat.v4.new_code_cell(_AFRESH.format(folder=str(tmp_path)))
         notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-        NotebookClient(
-            notebook,
-            timeout=600,
-            kernel_name="python3",
-            resources={"metadata": {"path": str(tmp_path)}},
-        ).execute()
+        notebook.cells.insert(0, afresh)
+        NotebookClient(notebook, timeout=600, km=kernel).execute()
+        del notebook.cells[0]
         return notebook
 
     return run
