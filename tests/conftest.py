@@ -3,7 +3,9 @@
 import gc
 import os
 import tempfile
+from multiprocessing import forkserver
 
+import pytest
 from hypothesis import settings
 
 from xray_drake.threads import limit_threads
@@ -22,6 +24,16 @@ settings.register_profile("xray_drake", deadline=None)
 settings.load_profile("xray_drake")
 
 
+MANY = 300
+PRELOADED = [
+    "xray_drake.dataset.check",
+    "xray_drake.dataset.generator",
+    "xray_drake.scene.meshes.prepare",
+    "xray_drake.search.rollout",
+    "xray_drake.training.prepare",
+]
+
+
 def pytest_xdist_auto_num_workers() -> int:
     """As many as this process may use; its own choice is the machine's."""
     if hasattr(os, "sched_getaffinity"):
@@ -29,7 +41,14 @@ def pytest_xdist_auto_num_workers() -> int:
     return os.cpu_count() or 1
 
 
-def pytest_collection_finish() -> None:
-    """What is imported stays: the garbage collector need not look at it."""
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """What is imported stays: the garbage collector need not look at it.
+
+    Of many tests some start processes, each with modules of its own that the
+    server should have imported; it is started once.
+    """
     gc.collect()
     gc.freeze()
+    if len(session.items) > MANY:
+        forkserver.set_forkserver_preload(PRELOADED)
+        forkserver.ensure_running()

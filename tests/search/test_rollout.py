@@ -1,5 +1,5 @@
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -394,9 +394,17 @@ def test_a_target_that_leaves_the_bin_is_lost(
     assert not record.actions[0].is_target
 
 
+@pytest.fixture
+def heeds_sigint() -> Iterator[None]:
+    """A shell's background jobs ignore the signal, tests among them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("by", ["exception", "signal"])
 def test_ctrl_c_keeps_the_record(
-    tiny_scenario: Scenario, tiny_heap: Heap, by: str
+    tiny_scenario: Scenario, tiny_heap: Heap, by: str, heeds_sigint: None
 ) -> None:
     def stop(diagram: SearchDiagram, context: Context) -> None:
         if len(watcher.told) == 3:  # the second decision
