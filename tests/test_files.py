@@ -86,10 +86,9 @@ import os, sys, time
 from pathlib import Path
 from xray_drake.files import sole_writer
 with sole_writer(Path(sys.argv[1])):
-    print("in", flush=True)
-    child = os.fork()
-    if child:
-        print(child, flush=True)
+    if not os.fork():
+        # Here the child has let go of the lock.
+        print(os.getpid(), flush=True)
     time.sleep(60)
 """
 
@@ -103,16 +102,15 @@ def place(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture
-def other(place: Path) -> Iterator[subprocess.Popen]:
-    """Another process that writes there."""
+def other(place: Path) -> Iterator[tuple[subprocess.Popen, int]]:
+    """Another process that writes there, and its child."""
     process = subprocess.Popen(
         [sys.executable, "-c", _WRITER, str(place)],
         stdout=subprocess.PIPE,
         start_new_session=True,
     )
     assert process.stdout is not None
-    assert process.stdout.readline() == b"in\n"
-    yield process
+    yield process, int(process.stdout.readline())
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -120,15 +118,16 @@ def other(place: Path) -> Iterator[subprocess.Popen]:
 
 
 def test_a_place_has_one_writer_until_it_is_killed(
-    place: Path, other: subprocess.Popen
+    place: Path, other: tuple[subprocess.Popen, int]
 ) -> None:
+    writer, _ = other
     link = place.with_name("link")
     link.symlink_to(place)
     for name in (place, link):
-        with pytest.raises(InUseError, match=f"another process .{other.pid}"):
+        with pytest.raises(InUseError, match=f"another process .{writer.pid}"):
             sole_writer(name).__enter__()
-    os.kill(other.pid, signal.SIGKILL)
-    other.wait()
+    writer.kill()
+    writer.wait()
     with sole_writer(place):
         pass
     names = {p.name for p in place.parent.rglob("*")}
@@ -143,13 +142,12 @@ def test_a_process_does_not_write_twice_to_one_place(place: Path) -> None:
 
 
 def test_a_lock_does_not_live_on_in_a_child(
-    place: Path, other: subprocess.Popen
+    place: Path, other: tuple[subprocess.Popen, int]
 ) -> None:
     """As in a reader of data that outlives its program for a moment."""
-    assert other.stdout is not None
-    child = int(other.stdout.readline())
-    os.kill(other.pid, signal.SIGKILL)
-    other.wait()
+    writer, child = other
+    writer.kill()
+    writer.wait()
     with sole_writer(place):
         os.kill(child, 0)  # it lives
 
