@@ -34,6 +34,7 @@ PRELOADED = [
 ]
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """As many as this process may use; its own choice is the machine's."""
     if hasattr(os, "sched_getaffinity"):
