@@ -8,7 +8,7 @@ from multiprocessing import forkserver
 import pytest
 from hypothesis import settings
 
-from xray_drake.threads import limit_threads
+from xray_drake.threads import limit_threads, usable_cores
 
 # Workers on all cores share them; libraries look at it when imported.
 limit_threads()
@@ -37,9 +37,7 @@ PRELOADED = [
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """As many as this process may use; its own choice is the machine's."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return usable_cores()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
