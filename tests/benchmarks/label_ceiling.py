@@ -39,9 +39,9 @@ from xray_drake.dataset.reader import OccupancyDataset
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import VirtualTarget, make_target, target_depth
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.expected_label import ExpectedLabel
-from xray_drake.occupancy.label import LabelConfig, occupancy_label
-from xray_drake.occupancy.learned import load_inference
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
+from xray_drake.occupancy.learned.inference import load_inference
 from xray_drake.occupancy.metrics import TOLERANCE, PixelCounts, pixel_counts
 from xray_drake.provenance import current, describe
 from xray_drake.scene.targets import target_model

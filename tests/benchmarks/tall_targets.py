@@ -92,7 +92,7 @@ def photograph(target: str, seed: int, objects: int, file: Path) -> None:
 
 def compare(target: str, images: dict[str, np.ndarray]) -> dict[str, Any]:
     """Infers one image in both ways."""
-    from xray_drake.occupancy.exact_config import POSES
+    from xray_drake.occupancy.geometric.config import POSES
     from xray_drake.occupancy.metrics import pixel_counts
 
     camera, amodal = _camera(), images["amodal"]
@@ -117,7 +117,7 @@ def compare(target: str, images: dict[str, np.ndarray]) -> dict[str, Any]:
 
 def label(images: dict[str, np.ndarray]) -> np.ndarray:
     """Sums the paper's label over all resting poses, by probability."""
-    from xray_drake.occupancy.label import occupancy_label
+    from xray_drake.occupancy.label.ground_truth import occupancy_label
 
     total = np.zeros(images["depth"].shape)
     for k, share in enumerate(images["probabilities"]):
@@ -137,8 +137,8 @@ _MODELS: dict[tuple[str, str], Any] = {}
 
 
 def _model(target: str, poses: str) -> Any:
-    from xray_drake.occupancy.exact_config import ExactInferenceConfig
-    from xray_drake.occupancy.exact_model import exact_model
+    from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+    from xray_drake.occupancy.geometric.inference import exact_model
     from xray_drake.scene.targets import target_model
 
     key = target, poses

@@ -15,8 +15,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, lying, occluders
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.expected_label import ExpectedLabel
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.geometric.flat import ExactInference
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 

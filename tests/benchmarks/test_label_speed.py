@@ -19,7 +19,7 @@ from tests.occupancy.label_scenes import (
 )
 from tests.occupancy.scenes import CAMERAS, occluders
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.label import Label, occupancy_label
+from xray_drake.occupancy.label.ground_truth import Label, occupancy_label
 
 # Time of the one thread's core, lest other processes on it count.
 pytestmark = pytest.mark.benchmark(timer=time.process_time)

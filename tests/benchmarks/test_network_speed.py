@@ -14,9 +14,12 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, occluders
 from xray_drake.choices import DTYPES
-from xray_drake.occupancy.learned import default_weights, load_inference
-from xray_drake.occupancy.networks.build import build_network, channels_last
-from xray_drake.occupancy.networks.weights import read_card
+from xray_drake.occupancy.learned.build import build_network, channels_last
+from xray_drake.occupancy.learned.inference import (
+    default_weights,
+    load_inference,
+)
+from xray_drake.occupancy.learned.weights import read_card
 
 SIZE = np.array([0.0424, 0.0212, 0.005])
 

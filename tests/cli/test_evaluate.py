@@ -19,7 +19,7 @@ from xray_drake.dataset.shards import ShardReader, read_shard, write_shard
 from xray_drake.files import sole_writer
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.networks.weights import WeightsError
+from xray_drake.occupancy.learned.weights import WeightsError
 from xray_drake.provenance import Provenance, describe, read_runs
 
 COUNT = 4
@@ -61,7 +61,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 class _Networks(ModuleType):
-    """Stands for ``xray_drake.occupancy.learned``; remembers what it saw.
+    """Stands for the module of learned inference; remembers what it saw.
 
     A network named "modal" answers the modal mask; "weak", half of it for the
     sample of seed 2; any, nothing without scaling, and a quarter of it for
@@ -69,7 +69,7 @@ class _Networks(ModuleType):
     """
 
     def __init__(self) -> None:
-        super().__init__("xray_drake.occupancy.learned")
+        super().__init__("xray_drake.occupancy.learned.inference")
         self.loaded: list[tuple[str, tuple[float, ...]]] = []
         self.dtypes: set[str] = set()
         self.depths: list[np.ndarray] = []

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from xray_drake.dataset.images import LabelledImages, downscale
-from xray_drake.occupancy.networks.augmented_depth import (
+from xray_drake.occupancy.learned.augmented_depth import (
     NO_READING,
     augmented_depth,
 )

@@ -16,7 +16,7 @@ from xray_drake.dataset.augmentation import Augmentation
 from xray_drake.dataset.manifest import DatasetError
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
 from xray_drake.dataset.shards import ForeignShardError, ShardError
-from xray_drake.occupancy.networks.augmented_depth import augmented_depth
+from xray_drake.occupancy.learned.augmented_depth import augmented_depth
 
 
 def _assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:

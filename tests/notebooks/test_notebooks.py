@@ -10,7 +10,7 @@ from nbclient import NotebookClient
 from nbformat import NotebookNode
 
 import xray_drake
-from xray_drake.occupancy.networks.weights import read_card
+from xray_drake.occupancy.learned.weights import read_card
 
 FOLDER = Path(__file__).parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))

@@ -14,7 +14,7 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial import ConvexHull
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.exact import ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat import ExactInferenceConfig
 
 
 class Caster:

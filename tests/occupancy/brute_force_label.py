@@ -8,7 +8,7 @@ camera and the numbers.
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.label_config import LabelConfig
+from xray_drake.occupancy.label.config import LabelConfig
 
 
 def brute_force_label(

@@ -4,7 +4,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.occupancy.aspect import (
+from xray_drake.occupancy.learned.single_box import (
     aspect_ratio,
     box_scale,
     nearest_ratio,

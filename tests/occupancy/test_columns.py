@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from xray_drake.geometry.silhouette import facing_triangles, fill_convex
-from xray_drake.occupancy import columns
+from xray_drake.occupancy.geometric import columns
 
 _PITCH = 0.0005
 _SIDE = 201

@@ -2,9 +2,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from xray_drake.occupancy.networks.build import build_network
-from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.build import build_network
+from xray_drake.occupancy.learned.compact import OUTPUTS, CompactNet
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     SIZE_FEATURES,

@@ -10,10 +10,10 @@ from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import lying, make_camera
 from tests.occupancy.test_learned import Mirror, card
 from xray_drake.grasping.depth_planner import DepthGraspPlanner
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.expected_label import ExpectedLabel
-from xray_drake.occupancy.label import occupancy_label
-from xray_drake.occupancy.learned import LearnedInference
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.label.ground_truth import occupancy_label
+from xray_drake.occupancy.learned.inference import LearnedInference
 from xray_drake.perception.depth_segmenter import segment_depth
 from xray_drake.policy.removal import Removal
 from xray_drake.scene.targets import target_model

@@ -11,7 +11,10 @@ from tests.occupancy.brute_force import BruteForce, render
 from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.occupancy.exact import ExactInference, ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat import (
+    ExactInference,
+    ExactInferenceConfig,
+)
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 

@@ -11,16 +11,19 @@ import trimesh
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, cover, lying, occluders
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.exact_config import (
+from xray_drake.occupancy.geometric.config import (
     ExactInferenceConfig,
     ExpectedLabelConfig,
 )
-from xray_drake.occupancy.expected_label import ExpectedLabel, expected_label
-from xray_drake.occupancy.label import occupancy_label
-from xray_drake.occupancy.label_mixture import LEVELS
+from xray_drake.occupancy.geometric.expected import (
+    ExpectedLabel,
+    expected_label,
+)
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.label_mixture import LEVELS
+from xray_drake.occupancy.geometric.pose_search import PoseSearch
+from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
-from xray_drake.occupancy.pose_search import PoseSearch
 from xray_drake.scene.targets import target_model
 
 NOTHING = np.zeros((384, 512), dtype=bool)

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import nn
 
-from xray_drake.occupancy.networks.fcn_resnet50 import FCNResNet50
+from xray_drake.occupancy.learned.fcn_resnet50 import FCNResNet50
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from tests.occupancy.scenes import CAMERAS, make_camera, occluders
 from xray_drake.choices import TARGET_NAMES
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.instances import instance_image
-from xray_drake.occupancy.label import LabelConfig, occupancy_label
+from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
 
 NOMINAL = CAMERAS["nominal"]
 NOTHING = np.zeros(NOMINAL.shape, dtype=bool)

@@ -18,7 +18,7 @@ from pydrake.systems.sensors import CameraConfig
 
 from tests.occupancy.brute_force_label import brute_force_label
 from tests.occupancy.label_scenes import draw_sample
-from xray_drake.occupancy.label import LabelConfig, occupancy_label
+from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
 from xray_drake.scene.cameras import add_camera, pinhole_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel

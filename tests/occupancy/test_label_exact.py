@@ -17,8 +17,8 @@ from tests.occupancy.test_exact import (
     lattice_poses,
     pixel_poses,
 )
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.exact_label import exact_label
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.label.exact_placement import exact_label
 from xray_drake.scene.targets import target_model
 
 

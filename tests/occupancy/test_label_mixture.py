@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from xray_drake.occupancy.label_mixture import (
+from xray_drake.occupancy.geometric.label_mixture import (
     LEVELS,
     best_answer,
     label_histogram,

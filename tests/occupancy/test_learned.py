@@ -14,21 +14,21 @@ from torch import Tensor, nn
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import TargetMask
-from xray_drake.occupancy.learned import (
+from xray_drake.occupancy.learned.augmented_depth import augmented_depth
+from xray_drake.occupancy.learned.compact import OUTPUTS, CompactNet
+from xray_drake.occupancy.learned.inference import (
     SUPPORT_THRESHOLD,
     LearnedInference,
     default_weights,
     load_inference,
 )
-from xray_drake.occupancy.networks.augmented_depth import augmented_depth
-from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     geometry_input,
     size_features,
 )
-from xray_drake.occupancy.networks.weights import (
+from xray_drake.occupancy.learned.weights import (
     NetworkCard,
     WeightsError,
     save_weights,
@@ -588,7 +588,7 @@ def test_networks_training_and_virtual_targets_need_no_drake() -> None:
         "sys.modules['pydrake'] = None\n"
         "import xray_drake.dataset.virtual\n"
         "assert 'torch' not in sys.modules\n"
-        "import xray_drake.occupancy.learned\n"
+        "import xray_drake.occupancy.learned.inference\n"
         "assert 'lightning' not in sys.modules\n"
         "import xray_drake.training.run\n"
     )

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     SIZE_FEATURES,

@@ -10,17 +10,17 @@ from tests.masks import iou
 from tests.occupancy.brute_force import RestingBruteForce, render
 from tests.occupancy.scenes import CAMERAS, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.blocks import Blocks
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.exact_model import exact_model
-from xray_drake.occupancy.floor_grid import Floor
-from xray_drake.occupancy.resting_inference import (
+from xray_drake.geometry.floor_grid import Floor
+from xray_drake.occupancy.geometric.blocks import Blocks
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.inference import exact_model
+from xray_drake.occupancy.geometric.resting import (
     HIDDEN_STEP,
     RestingInference,
 )
-from xray_drake.occupancy.standing import StandingTarget
-from xray_drake.occupancy.standing_kernels import View
+from xray_drake.occupancy.geometric.standing import StandingTarget
+from xray_drake.occupancy.geometric.standing_kernels import View
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 

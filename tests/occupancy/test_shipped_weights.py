@@ -3,8 +3,11 @@ import pytest
 
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import CAMERAS, occluders
-from xray_drake.occupancy.learned import default_weights, load_inference
-from xray_drake.occupancy.networks.weights import read_card
+from xray_drake.occupancy.learned.inference import (
+    default_weights,
+    load_inference,
+)
+from xray_drake.occupancy.learned.weights import read_card
 from xray_drake.resources import models_dir
 from xray_drake.station.scenario import (
     ScenarioError,

@@ -9,7 +9,7 @@ from pydrake.systems.sensors import ImageDepth32F
 from tests.ports import inputs_of
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution, TargetMask
-from xray_drake.occupancy.exact import ExactInference
+from xray_drake.occupancy.geometric.flat import ExactInference
 from xray_drake.occupancy.system import OccupancyInference
 from xray_drake.scene.targets import target_model
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from tests.disk import full_disk
-from xray_drake.occupancy.networks.weights import (
+from xray_drake.occupancy.learned.weights import (
     FORMAT_VERSION,
     INPUTS,
     METADATA_KEY,

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     geometry_input,
     lengths_in_image,
     size_features,
 )
-from xray_drake.occupancy.networks.window import Window, target_window
+from xray_drake.occupancy.learned.window import Window, target_window
 
 CAMERA = make_camera(size=(512, 384))
 

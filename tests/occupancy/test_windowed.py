@@ -7,16 +7,19 @@ import torch
 from torch import nn
 
 from tests.occupancy.scenes import make_camera
-from xray_drake.occupancy.learned import LearnedInference, load_inference
-from xray_drake.occupancy.networks.build import build_network
-from xray_drake.occupancy.networks.inputs import geometry_input, size_features
-from xray_drake.occupancy.networks.weights import (
+from xray_drake.occupancy.learned.build import build_network
+from xray_drake.occupancy.learned.inference import (
+    LearnedInference,
+    load_inference,
+)
+from xray_drake.occupancy.learned.inputs import geometry_input, size_features
+from xray_drake.occupancy.learned.weights import (
     NetworkCard,
     WeightsError,
     save_weights,
 )
-from xray_drake.occupancy.networks.window import target_window
-from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.occupancy.learned.window import target_window
+from xray_drake.occupancy.learned.windowed import WindowedNet
 
 CAMERA = make_camera(
     size=(256, 192), focal_length=276, center=(128, 95), tilt=5, azimuth=40

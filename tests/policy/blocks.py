@@ -12,8 +12,8 @@ from xray_drake.messages import (
     InstanceMasks,
     OccupancyDistribution,
 )
+from xray_drake.policy.beyond.shifts import Look
 from xray_drake.policy.ranking import Outlook, Planning
-from xray_drake.policy.shifts import Look
 
 WIDTH, HEIGHT = 128, 96
 SHAPE = HEIGHT, WIDTH

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from xray_drake.messages import Grasp, GraspKind
-from xray_drake.policy.chance import chance
+from xray_drake.policy.beyond.chance import chance
 
 
 def grasp(quality: float) -> Grasp:

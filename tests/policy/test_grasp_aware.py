@@ -16,8 +16,8 @@ from tests.policy.blocks import (
     target_block,
 )
 from xray_drake.messages import Grasp, OccupancyDistribution
-from xray_drake.policy.chance import chance
-from xray_drake.policy.grasp_aware import GraspAware, GraspAwareConfig
+from xray_drake.policy.beyond.chance import chance
+from xray_drake.policy.beyond.grasp_aware import GraspAware, GraspAwareConfig
 from xray_drake.policy.ranking import (
     Planning,
     Ranked,

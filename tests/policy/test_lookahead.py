@@ -21,8 +21,8 @@ from tests.policy.blocks import (
     target_block,
 )
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.policy.chance import USUAL, chance
-from xray_drake.policy.lookahead import Lookahead, LookaheadConfig
+from xray_drake.policy.beyond.chance import USUAL, chance
+from xray_drake.policy.beyond.lookahead import Lookahead, LookaheadConfig
 from xray_drake.policy.ranking import Planning, SearchView, order, xray
 
 GREEDY = LookaheadConfig(beam=0)

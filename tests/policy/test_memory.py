@@ -20,9 +20,9 @@ from tests.policy.blocks import (
     target_block,
 )
 from xray_drake.messages import InstanceMasks
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.policy.memory import Belief, MemoryConfig, TargetMemory
-from xray_drake.policy.shifts import Look
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.policy.beyond.memory import Belief, MemoryConfig, TargetMemory
+from xray_drake.policy.beyond.shifts import Look
 from xray_drake.scene.targets import target_model
 
 CAMERA = overhead_camera()

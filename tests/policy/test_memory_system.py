@@ -27,9 +27,9 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
-from xray_drake.policy.memory import Belief, TargetMemory
-from xray_drake.policy.memory_system import SearchMemory
-from xray_drake.policy.shifts import Look
+from xray_drake.policy.beyond.memory import Belief, TargetMemory
+from xray_drake.policy.beyond.memory_system import SearchMemory
+from xray_drake.policy.beyond.shifts import Look
 
 CAMERA = overhead_camera()
 CUP = Block("cup", 30, 30, 12, 12)

@@ -14,7 +14,7 @@ from tests.policy.blocks import (
     look,
     overhead_camera,
 )
-from xray_drake.occupancy.floor_grid import observed_heights
+from xray_drake.geometry.floor_grid import observed_heights
 from xray_drake.policy.removal import Removal, surface_behind
 
 

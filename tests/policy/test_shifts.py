@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.policy.blocks import SCALE, Block, look
-from xray_drake.policy.shifts import Look, Shift, renamed, shifts_seen
+from xray_drake.policy.beyond.shifts import Look, Shift, renamed, shifts_seen
 
 CUP = Block("cup", 40, 50, 9, 14)
 

@@ -12,9 +12,9 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.expected_label import ExpectedLabel
-from xray_drake.occupancy.resting_inference import RestingInference
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.resting import RestingInference
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.targets import target_model
 from xray_drake.search import diagram as module

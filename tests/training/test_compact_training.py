@@ -14,9 +14,9 @@ from tests.dataset.conftest import synthetic_sample
 from tests.dataset.whole import write_dataset
 from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
-from xray_drake.occupancy.learned import load_inference
+from xray_drake.occupancy.learned import build
+from xray_drake.occupancy.learned.inference import load_inference
 from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
-from xray_drake.occupancy.networks import build
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import Batch
 from xray_drake.training.module import CompactTraining

@@ -17,11 +17,11 @@ from xray_drake.dataset.reader import OccupancyDataset, is_held_out
 from xray_drake.dataset.sample import Sample, depth_on_disk
 from xray_drake.dataset.virtual import virtual_sample
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.learned import load_inference
+from xray_drake.occupancy.learned import build
+from xray_drake.occupancy.learned.fcn_resnet50 import FCNResNet50
+from xray_drake.occupancy.learned.inference import load_inference
+from xray_drake.occupancy.learned.weights import WeightsError, read_card
 from xray_drake.occupancy.metrics import PixelCounts, pixel_counts
-from xray_drake.occupancy.networks import build
-from xray_drake.occupancy.networks.fcn_resnet50 import FCNResNet50
-from xray_drake.occupancy.networks.weights import WeightsError, read_card
 from xray_drake.training.beginning import load_backbone
 from xray_drake.training.box import box_size
 from xray_drake.training.config import (

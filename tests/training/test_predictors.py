@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xray_drake.occupancy import learned
+from xray_drake.occupancy.learned import inference as learned
 from xray_drake.training.predictors import learned_predictor
 
 

@@ -29,7 +29,7 @@ from xray_drake.dataset.shards import (
 )
 from xray_drake.dataset.virtual import is_virtual
 from xray_drake.files import InUseError, sole_writer
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     geometry_input,

@@ -8,7 +8,7 @@ import pytest
 from tests.dataset.conftest import synthetic_sample
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import make_target
-from xray_drake.occupancy.label import occupancy_label
+from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.occupancy.metrics import pixel_counts
 from xray_drake.training.teacher import expected_occupancy
 

@@ -24,8 +24,8 @@ from xray_drake.dataset.manifest import (
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.shards import ForeignShardError
 from xray_drake.files import InUseError, sole_writer
-from xray_drake.occupancy.learned import load_inference
-from xray_drake.occupancy.networks.weights import (
+from xray_drake.occupancy.learned.inference import load_inference
+from xray_drake.occupancy.learned.weights import (
     NetworkCard,
     WeightsError,
     load_weights,

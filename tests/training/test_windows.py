@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.occupancy.learned.windowed import WindowedNet
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import PreparedItems
 from xray_drake.training.items import Item, pack

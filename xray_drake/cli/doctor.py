@@ -135,8 +135,8 @@ def _models() -> str:
 
 
 def _weights() -> str:
-    from xray_drake.occupancy.learned import default_weights
-    from xray_drake.occupancy.networks.weights import read_card
+    from xray_drake.occupancy.learned.inference import default_weights
+    from xray_drake.occupancy.learned.weights import read_card
 
     path = default_weights()
     return f"{path}: {read_card(path).architecture}"

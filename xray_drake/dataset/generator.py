@@ -18,9 +18,9 @@ from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
 from xray_drake.dataset.sample import Sample, depth_on_disk, problems
 from xray_drake.dataset.shards import ShardAttributes, write_shard
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.exact_label import exact_label
-from xray_drake.occupancy.label import occupancy_label
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.label.exact_placement import exact_label
+from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.provenance import versions
 from xray_drake.scene.cameras import sample_camera
 from xray_drake.scene.heap import Heap

@@ -14,7 +14,7 @@ from xray_drake.dataset.images import LabelledImages, downscale
 from xray_drake.dataset.manifest import DatasetError, read_manifest
 from xray_drake.dataset.sample import Sample, SampleKey
 from xray_drake.dataset.shards import ShardReader, open_shard
-from xray_drake.occupancy.networks.augmented_depth import augmented_depth
+from xray_drake.occupancy.learned.augmented_depth import augmented_depth
 from xray_drake.seeding import stream
 from xray_drake.splits import SPLITS
 
@@ -35,7 +35,7 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
     An item is a dict, with (h, w) the size after scaling down:
 
     - ``input``: (3, h, w) float32, see
-      :func:`xray_drake.occupancy.networks.augmented_depth.augmented_depth`;
+      :func:`xray_drake.occupancy.learned.augmented_depth.augmented_depth`;
     - ``occupancy``: (1, h, w) float32 in [0, 1];
     - ``modal``, ``amodal``: (1, h, w) bool;
     - ``target_size``: (3,) float32, m;

@@ -20,8 +20,8 @@ from xray_drake.dataset.sample import (
 )
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.convex import hull_planes
-from xray_drake.occupancy.label import occupancy_label
-from xray_drake.occupancy.label_config import LabelConfig
+from xray_drake.occupancy.label.config import LabelConfig
+from xray_drake.occupancy.label.ground_truth import occupancy_label
 
 VIRTUAL_PREFIX = "virtual_"
 """Of the names of such targets."""

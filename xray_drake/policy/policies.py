@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from xray_drake.policy.grasp_aware import GraspAware
-from xray_drake.policy.lookahead import Lookahead
+from xray_drake.policy.beyond.grasp_aware import GraspAware
+from xray_drake.policy.beyond.lookahead import Lookahead
 from xray_drake.policy.oracle import oracle
 from xray_drake.policy.ranking import RANKINGS, Ranking, xray
 

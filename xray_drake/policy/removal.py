@@ -5,8 +5,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import observed_heights
 from xray_drake.geometry.readings import depth_readings
-from xray_drake.occupancy.floor_grid import observed_heights
 
 _STEP = 0.001
 """A surface that is lower than the object's edge by less than this may be the

@@ -8,13 +8,13 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from xray_drake.grasping.depth_planner import DepthGraspPlanner
 from xray_drake.grasping.planner import ModelGraspPlanner
-from xray_drake.occupancy.exact_model import exact_model
-from xray_drake.occupancy.expected_label import ExpectedLabel
-from xray_drake.occupancy.learned import load_inference
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.geometric.inference import exact_model
+from xray_drake.occupancy.learned.inference import load_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
+from xray_drake.policy.beyond.memory import MemoryConfig, TargetMemory
+from xray_drake.policy.beyond.memory_system import SearchMemory
 from xray_drake.policy.choice_system import ChoicePolicy
-from xray_drake.policy.memory import MemoryConfig, TargetMemory
-from xray_drake.policy.memory_system import SearchMemory
 from xray_drake.policy.policies import POLICIES, Policy
 from xray_drake.policy.ranking import RANKINGS
 from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy

@@ -55,11 +55,11 @@ from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.execution import ExecutionConfig
 from xray_drake.gripper.quasi_static import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
-from xray_drake.occupancy.exact import ExactInferenceConfig
-from xray_drake.occupancy.exact_config import check_expected
-from xray_drake.occupancy.learned import default_weights
-from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
-from xray_drake.occupancy.networks.weights import WeightsError, read_card
+from xray_drake.occupancy.geometric.config import check_expected
+from xray_drake.occupancy.geometric.flat import ExactInferenceConfig
+from xray_drake.occupancy.learned.fcn_resnet50 import SIZE_STEP
+from xray_drake.occupancy.learned.inference import default_weights
+from xray_drake.occupancy.learned.weights import WeightsError, read_card
 from xray_drake.perception.depth_noise import DepthNoise
 from xray_drake.perception.depth_segmenter import DepthSegmenterConfig
 from xray_drake.perception.hsv_target import HsvTargetConfig

@@ -6,8 +6,8 @@ import safetensors.torch
 from safetensors import SafetensorError
 from torch import nn
 
-from xray_drake.occupancy.networks.weights import WeightsError, load_weights
-from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.occupancy.learned.weights import WeightsError, load_weights
+from xray_drake.occupancy.learned.windowed import WindowedNet
 
 _HEAD = "classifier."
 """The backbone has all parameters but these."""

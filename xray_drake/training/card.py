@@ -8,7 +8,7 @@ import lightning
 import torch
 
 from xray_drake.dataset.manifest import read_manifest
-from xray_drake.occupancy.networks.weights import NetworkCard, read_card
+from xray_drake.occupancy.learned.weights import NetworkCard, read_card
 from xray_drake.provenance import Provenance, current, made_by
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import TrainingData

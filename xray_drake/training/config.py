@@ -19,7 +19,7 @@ from xray_drake.configuration import (
     read_tree,
     with_paths,
 )
-from xray_drake.occupancy.networks.weights import INPUTS
+from xray_drake.occupancy.learned.weights import INPUTS
 from xray_drake.resources import models_dir
 from xray_drake.training.prepare import PrepareConfig
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     QUARTER,
     GeometryInput,

@@ -8,7 +8,7 @@ import lightning
 import torch
 from torch import Tensor, nn
 
-from xray_drake.occupancy.networks.build import channels_last
+from xray_drake.occupancy.learned.build import channels_last
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import Batch
 from xray_drake.training.losses import (

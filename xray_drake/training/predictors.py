@@ -9,14 +9,14 @@ import numpy as np
 from xray_drake.choices import DTYPES, TALL_TARGETS
 from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.exact_model import exact_model
-from xray_drake.occupancy.expected_label import ExpectedLabel
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.geometric.inference import exact_model
 from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
 
 if TYPE_CHECKING:
-    from xray_drake.occupancy.learned import Output
+    from xray_drake.occupancy.learned.inference import Output
     from xray_drake.occupancy.system import OccupancyModel
 
 
@@ -60,12 +60,13 @@ def learned_predictor(
 
     Args:
         path: of its weights; read when the first sample is asked about.
-        scaling: see :class:`xray_drake.occupancy.learned.LearnedInference`.
+        scaling: see
+            :class:`~xray_drake.occupancy.learned.inference.LearnedInference`.
         output: see there.
         dtype: see there.
     """
     # The networks are not needed where only exact inference is asked.
-    from xray_drake.occupancy.learned import load_inference
+    from xray_drake.occupancy.learned.inference import load_inference
 
     @lru_cache(maxsize=16)
     def inference(size: tuple[float, ...]) -> "OccupancyModel":

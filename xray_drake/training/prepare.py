@@ -30,7 +30,7 @@ from xray_drake.dataset.shards import ShardError, ShardReader, open_shard
 from xray_drake.dataset.virtual import HIDDEN, is_virtual, virtual_sample
 from xray_drake.files import remove_leftovers, sole_writer, write_whole_file
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     geometry_input,
     size_features,
 )

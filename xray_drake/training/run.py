@@ -17,9 +17,9 @@ from torch import nn
 
 from xray_drake.dataset.manifest import read_manifest
 from xray_drake.files import sole_writer, write_whole_file
-from xray_drake.occupancy.networks.build import build_network
-from xray_drake.occupancy.networks.weights import NetworkCard, save_weights
-from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.occupancy.learned.build import build_network
+from xray_drake.occupancy.learned.weights import NetworkCard, save_weights
+from xray_drake.occupancy.learned.windowed import WindowedNet
 from xray_drake.provenance import Run, check_resumable, record_run
 from xray_drake.training.beginning import begin_with, load_backbone
 from xray_drake.training.box import box_size

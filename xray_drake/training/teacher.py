@@ -16,11 +16,11 @@ import trimesh
 from xray_drake.choices import TALL_TARGETS, TARGET_NAMES
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import is_virtual, virtual_target
-from xray_drake.occupancy.exact_config import (
+from xray_drake.occupancy.geometric.config import (
     ExactInferenceConfig,
     ExpectedLabelConfig,
 )
-from xray_drake.occupancy.expected_label import ExpectedLabel
+from xray_drake.occupancy.geometric.expected import ExpectedLabel
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 

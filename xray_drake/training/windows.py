@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from xray_drake.occupancy.learned.window import Window, target_window
+from xray_drake.occupancy.learned.windowed import WindowedNet
 from xray_drake.occupancy.metrics import POSITIVE
-from xray_drake.occupancy.networks.window import Window, target_window
-from xray_drake.occupancy.networks.windowed import WindowedNet
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import (
     PreparedItems,

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from xray_drake.configuration import bin_floor, check, choice, count, number
-from xray_drake.occupancy.label_config import LabelConfig
+from xray_drake.occupancy.label.config import LabelConfig
 
 POSES = ("flat", "resting")
 

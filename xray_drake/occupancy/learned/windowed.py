@@ -6,8 +6,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from xray_drake.occupancy.networks.compact import CompactNet
-from xray_drake.occupancy.networks.inputs import SIZE_FEATURES
+from xray_drake.occupancy.learned.compact import CompactNet
+from xray_drake.occupancy.learned.inputs import SIZE_FEATURES
 
 
 class WindowedNet(nn.Module):

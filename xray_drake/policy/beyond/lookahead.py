@@ -7,7 +7,7 @@ import numpy as np
 
 from xray_drake.configuration import count, number
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.policy.chance import USUAL, chance
+from xray_drake.policy.beyond.chance import USUAL, chance
 from xray_drake.policy.ranking import (
     Outlook,
     Planning,

@@ -5,9 +5,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor, observed_heights
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.floor_grid import Floor, observed_heights
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
 from xray_drake.occupancy.observation import check_observation
 
 

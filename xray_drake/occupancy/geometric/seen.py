@@ -12,10 +12,10 @@ import torch
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.scanlines import Spans, convex_spans
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.flat_target import FlatTarget
-from xray_drake.occupancy.pose_search import PoseSearch, paste
-from xray_drake.occupancy.spectra import inverse
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat_target import FlatTarget
+from xray_drake.occupancy.geometric.pose_search import PoseSearch, paste
+from xray_drake.occupancy.geometric.spectra import inverse
 
 _SLACK = 0.05
 """Candidates this close to acceptance are drawn once more, exactly."""

@@ -12,11 +12,11 @@ import numpy as np
 
 from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor, observed_heights
 from xray_drake.geometry.readings import depth_readings
 from xray_drake.messages import Message
-from xray_drake.occupancy.floor_grid import Floor, observed_heights
 from xray_drake.occupancy.observation import check_shapes
-from xray_drake.policy.shifts import Look, renamed, shifts_seen
+from xray_drake.policy.beyond.shifts import Look, renamed, shifts_seen
 
 _REACH = 1.1
 """How much farther the target may reach than it is long: in perspective it is
@@ -85,8 +85,8 @@ class TargetMemory:
 
     The target moves only if something that touches it does, and over a share
     of its way at most. So at each further look, for everything that is seen to
-    have moved (:func:`~xray_drake.policy.shifts.shifts_seen`): where the target
-    may have been within its own length of that thing, it may now be as much
+    have moved (:func:`~xray_drake.policy.beyond.shifts.shifts_seen`): where the
+    target may have been within its own length of that thing, it may now be as much
     farther, and what is that near is empty no longer. What was lifted may have
     dragged it a little, even if nothing else moved. If the target is seen where
     it should not be, or no room is left for it, the memory was wrong, and lets

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xray_drake.occupancy.networks.inputs import QUARTER, lengths_in_image
+from xray_drake.occupancy.learned.inputs import QUARTER, lengths_in_image
 
 _STEP = 32
 """Sides are multiples of it, as the network needs."""

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.floor_grid import Floor, observed_heights
-from xray_drake.occupancy.label_config import LabelConfig
+from xray_drake.geometry.floor_grid import Floor, observed_heights
+from xray_drake.occupancy.label.config import LabelConfig
 
 FINE = ("cover", "modal")
 """Channels of :class:`GeometryInput` at the camera's resolution."""

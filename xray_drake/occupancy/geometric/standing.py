@@ -4,13 +4,17 @@ import numpy as np
 import trimesh
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.geometry.resting import (
     RestingPose,
     standing,
     turns_into_itself,
 )
-from xray_drake.occupancy.floor_grid import Floor
-from xray_drake.occupancy.standing_kernels import Drawing, View, draw_body
+from xray_drake.occupancy.geometric.standing_kernels import (
+    Drawing,
+    View,
+    draw_body,
+)
 
 _DRIFT = 0.35
 """Pixels by which a silhouette may be off within a block of candidates."""

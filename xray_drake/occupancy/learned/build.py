@@ -6,9 +6,9 @@ from typing import Any
 import torch
 from torch import nn
 
-from xray_drake.occupancy.networks.compact import CompactNet
-from xray_drake.occupancy.networks.fcn_resnet50 import FCNResNet50
-from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.occupancy.learned.compact import CompactNet
+from xray_drake.occupancy.learned.fcn_resnet50 import FCNResNet50
+from xray_drake.occupancy.learned.windowed import WindowedNet
 
 ARCHITECTURES: Mapping[str, Callable[..., nn.Module]] = {
     "compact": CompactNet,

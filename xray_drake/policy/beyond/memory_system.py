@@ -22,8 +22,8 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
-from xray_drake.policy.memory import Belief, TargetMemory
-from xray_drake.policy.shifts import Look
+from xray_drake.policy.beyond.memory import Belief, TargetMemory
+from xray_drake.policy.beyond.shifts import Look
 from xray_drake.policy.system import PERIOD
 
 
@@ -53,8 +53,8 @@ class SearchMemory(CollectableLeafSystem):
 
     It stands before the inference: ``depth_image`` (ImageDepth32F) comes in as
     the camera sees it and goes out as remembered, see
-    :class:`~xray_drake.policy.memory.TargetMemory`. Like the policy it looks
-    once per action, when the gripper is idle and has done it; ``action`` and
+    :class:`~xray_drake.policy.beyond.memory.TargetMemory`. Like the policy it
+    looks once per action, when the gripper is idle and has done it; ``action`` and
     ``status`` tell what was lifted in between. In a new context nothing is
     remembered.
     """

@@ -11,15 +11,15 @@ import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.geometry.resting import resting_poses
-from xray_drake.occupancy.blocks import Blocks
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.floor_grid import Floor
-from xray_drake.occupancy.pose_counting import PoseCounting
-from xray_drake.occupancy.pose_search import pose_range
-from xray_drake.occupancy.seen import AcceptanceRule
-from xray_drake.occupancy.standing import StandingTarget
-from xray_drake.occupancy.standing_kernels import (
+from xray_drake.occupancy.geometric.blocks import Blocks
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.pose_counting import PoseCounting
+from xray_drake.occupancy.geometric.pose_search import pose_range
+from xray_drake.occupancy.geometric.seen import AcceptanceRule
+from xray_drake.occupancy.geometric.standing import StandingTarget
+from xray_drake.occupancy.geometric.standing_kernels import (
     Drawing,
     View,
     add_accepted,
@@ -50,7 +50,7 @@ _EXACT_MOST = 20_000
 class RestingInference(PoseCounting):
     """Finds where a target can be that rests on any of its faces.
 
-    As :class:`xray_drake.occupancy.exact.ExactInference`, with three
+    As :class:`xray_drake.occupancy.geometric.flat.ExactInference`, with three
     differences. The candidates are all resting poses
     (:func:`xray_drake.geometry.resting.resting_poses`) at every pixel and
     orientation; each counts with the probability of its pose and with the area

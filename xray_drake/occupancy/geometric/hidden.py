@@ -6,16 +6,16 @@ import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.flat_target import FlatTarget
-from xray_drake.occupancy.floor_grid import (
+from xray_drake.geometry.floor_grid import (
     Floor,
     Window,
     image_half_planes,
     inside,
     pose_bounds,
 )
-from xray_drake.occupancy.spectra import (
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat_target import FlatTarget
+from xray_drake.occupancy.geometric.spectra import (
     inverse,
     kernel_spectrum,
     standard_size,

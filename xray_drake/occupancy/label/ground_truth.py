@@ -6,8 +6,8 @@ import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import depth_readings, has_reading
-from xray_drake.occupancy.label_config import LabelConfig
-from xray_drake.occupancy.label_kernels import (
+from xray_drake.occupancy.label.config import LabelConfig
+from xray_drake.occupancy.label.kernels import (
     Candidates,
     count_hidden,
     count_seen,

@@ -11,22 +11,14 @@ from torch import nn
 
 from xray_drake.choices import DTYPES
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.aspect import (
-    aspect_ratio,
-    box_scale,
-    nearest_ratio,
-    oriented_size,
-    rescale_input,
-    rescale_output,
-)
-from xray_drake.occupancy.floor_grid import Floor
-from xray_drake.occupancy.label_config import LabelConfig
-from xray_drake.occupancy.networks.augmented_depth import augmented_depth
-from xray_drake.occupancy.networks.build import build_network, channels_last
-from xray_drake.occupancy.networks.compact import OUTPUTS, CompactNet
-from xray_drake.occupancy.networks.fcn_resnet50 import SIZE_STEP
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.label.config import LabelConfig
+from xray_drake.occupancy.learned.augmented_depth import augmented_depth
+from xray_drake.occupancy.learned.build import build_network, channels_last
+from xray_drake.occupancy.learned.compact import OUTPUTS, CompactNet
+from xray_drake.occupancy.learned.fcn_resnet50 import SIZE_STEP
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     QUARTER,
@@ -34,14 +26,22 @@ from xray_drake.occupancy.networks.inputs import (
     geometry_input,
     size_features,
 )
-from xray_drake.occupancy.networks.weights import (
+from xray_drake.occupancy.learned.single_box import (
+    aspect_ratio,
+    box_scale,
+    nearest_ratio,
+    oriented_size,
+    rescale_input,
+    rescale_output,
+)
+from xray_drake.occupancy.learned.weights import (
     NetworkCard,
     WeightsError,
     load_weights,
     read_card,
 )
-from xray_drake.occupancy.networks.window import target_window
-from xray_drake.occupancy.networks.windowed import WindowedNet
+from xray_drake.occupancy.learned.window import target_window
+from xray_drake.occupancy.learned.windowed import WindowedNet
 from xray_drake.occupancy.observation import check_observation
 from xray_drake.resources import models_dir
 

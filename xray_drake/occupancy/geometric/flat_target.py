@@ -11,7 +11,7 @@ from xray_drake.geometry.silhouette import (
     facing_triangles,
     fill_convex,
 )
-from xray_drake.occupancy.columns import measure_columns
+from xray_drake.occupancy.geometric.columns import measure_columns
 
 _SUBSAMPLES = 7
 """Odd, so that one sub-pixel lies at the centre of each cell."""

@@ -1,8 +1,8 @@
 """The exact inference that a configuration asks for."""
 
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.exact_config import POSES, ExactInferenceConfig
-from xray_drake.occupancy.resting_inference import RestingInference
+from xray_drake.occupancy.geometric.config import POSES, ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.resting import RestingInference
 from xray_drake.scene.object_model import ObjectModel
 
 

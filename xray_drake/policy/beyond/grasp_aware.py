@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from xray_drake.configuration import count, number
-from xray_drake.policy.chance import chance
+from xray_drake.policy.beyond.chance import chance
 from xray_drake.policy.ranking import (
     Outlook,
     Planning,

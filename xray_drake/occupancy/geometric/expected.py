@@ -6,15 +6,18 @@ import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.exact_config import (
+from xray_drake.occupancy.geometric.config import (
     ExactInferenceConfig,
     ExpectedLabelConfig,
     check_expected,
 )
-from xray_drake.occupancy.label_config import LabelConfig
-from xray_drake.occupancy.label_mixture import best_answer, label_histogram
-from xray_drake.occupancy.pose_search import PoseSearch
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.label_mixture import (
+    best_answer,
+    label_histogram,
+)
+from xray_drake.occupancy.geometric.pose_search import PoseSearch
+from xray_drake.occupancy.label.config import LabelConfig
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.seeding import stream
 
@@ -57,7 +60,7 @@ class ExpectedLabel(ExactInference):
 
         Raises:
             ValueError: see :class:`ExactInference` and
-                :func:`~xray_drake.occupancy.exact_config.check_expected`.
+                :func:`~xray_drake.occupancy.geometric.config.check_expected`.
         """
         config = config or ExactInferenceConfig()
         check_expected(config)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from xray_drake.occupancy.networks.inputs import (
+from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     QUARTER,
@@ -21,7 +21,7 @@ OUTPUTS = ("occupancy", "posterior")
 class CompactNet(nn.Module):
     """A U-Net whose blocks are told the target's size.
 
-    It sees geometry (:mod:`xray_drake.occupancy.networks.inputs`) at the
+    It sees geometry (:mod:`xray_drake.occupancy.learned.inputs`) at the
     camera's resolution, works at a quarter of it and below, and answers at the
     camera's: a label has edges as sharp as those of the objects, and an answer
     at half the resolution that is enlarged has lost a fifth of its overlap

@@ -3,13 +3,13 @@
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.exact_config import ExactInferenceConfig
-from xray_drake.occupancy.flat_target import FlatTarget
-from xray_drake.occupancy.floor_grid import Floor
-from xray_drake.occupancy.hidden import HiddenSearch
-from xray_drake.occupancy.pose_counting import PoseCounting
-from xray_drake.occupancy.pose_search import PoseSearch
-from xray_drake.occupancy.seen import count_seen
+from xray_drake.geometry.floor_grid import Floor
+from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.flat_target import FlatTarget
+from xray_drake.occupancy.geometric.hidden import HiddenSearch
+from xray_drake.occupancy.geometric.pose_counting import PoseCounting
+from xray_drake.occupancy.geometric.pose_search import PoseSearch
+from xray_drake.occupancy.geometric.seen import count_seen
 from xray_drake.scene.object_model import ObjectModel
 
 __all__ = ["ExactInference", "ExactInferenceConfig"]

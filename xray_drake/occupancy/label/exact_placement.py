@@ -6,8 +6,8 @@ import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.exact import ExactInference
-from xray_drake.occupancy.resting_inference import RestingInference
+from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.resting import RestingInference
 
 
 def exact_label(

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.flat_target import FlatTarget
-from xray_drake.occupancy.floor_grid import Window, inside
-from xray_drake.occupancy.spectra import (
+from xray_drake.geometry.floor_grid import Window, inside
+from xray_drake.occupancy.geometric.flat_target import FlatTarget
+from xray_drake.occupancy.geometric.spectra import (
     inverse,
     kernel_spectrum,
     standard_size,

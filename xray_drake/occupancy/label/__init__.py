@@ -1,0 +1,1 @@
+"""The label: the distribution as who knows the true pose makes it."""

@@ -1,0 +1,1 @@
+"""Networks that predict occupancy distributions: inputs, weights, inference."""

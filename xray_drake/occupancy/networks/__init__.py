@@ -1,1 +1,0 @@
-"""Networks that predict occupancy distributions, and their weights."""

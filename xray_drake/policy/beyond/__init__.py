@@ -1,0 +1,1 @@
+"""Policies beyond the paper; the README says what each is worth."""
