@@ -83,14 +83,14 @@ class TargetMemory:
     is within its length of that part. Both are kept per pixel, for one camera
     that does not move.
 
-    The target moves only if something that touches it does, and over a share
-    of its way at most. So at each further look, for everything that is seen to
+    The target moves only if something that touches it does, and over a share of
+    its way at most. So at each further look, for everything that is seen to
     have moved (:func:`~xray_drake.policy.beyond.shifts.shifts_seen`): where the
-    target may have been within its own length of that thing, it may now be as much
-    farther, and what is that near is empty no longer. What was lifted may have
-    dragged it a little, even if nothing else moved. If the target is seen where
-    it should not be, or no room is left for it, the memory was wrong, and lets
-    go.
+    target may have been within its own length of that thing, it may now be as
+    much farther, and what is that near is empty no longer. What was lifted may
+    have dragged it a little, even if nothing else moved. If the target is seen
+    where it should not be, or no room is left for it, the memory was wrong, and
+    lets go.
 
     The belief becomes a distribution by the inference itself: in the depth
     image *as remembered*, the floor takes the place of whatever covers what is

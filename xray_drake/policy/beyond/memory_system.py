@@ -54,8 +54,8 @@ class SearchMemory(CollectableLeafSystem):
     It stands before the inference: ``depth_image`` (ImageDepth32F) comes in as
     the camera sees it and goes out as remembered, see
     :class:`~xray_drake.policy.beyond.memory.TargetMemory`. Like the policy it
-    looks once per action, when the gripper is idle and has done it; ``action`` and
-    ``status`` tell what was lifted in between. In a new context nothing is
+    looks once per action, when the gripper is idle and has done it; ``action``
+    and ``status`` tell what was lifted in between. In a new context nothing is
     remembered.
     """
 
