@@ -9,15 +9,15 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.gripper.test_contact import CLOSE, WHOLE_WAY, Script
+from tests.gripper.test_contact import take as take_brick
 from tests.gripper.test_controller import Cell, take
-from tests.gripper.test_execution import WHOLE_WAY, Script
-from tests.gripper.test_execution import take as take_brick
-from xray_drake.gripper.arm import Arm
-from xray_drake.gripper.arm_cell import MOUNT, ArmCell
-from xray_drake.gripper.carrier import Lag, ReachError
+from xray_drake.gripper.actuation.contact import ExecutionConfig
+from xray_drake.gripper.carriers.arm import Arm
+from xray_drake.gripper.carriers.arm_cell import MOUNT, ArmCell
+from xray_drake.gripper.carriers.carrier import ReachError, Tracking
+from xray_drake.gripper.carriers.paths import Leg
 from xray_drake.gripper.controller import GripperController
-from xray_drake.gripper.execution import ExecutionConfig, Phase
-from xray_drake.gripper.paths import Leg
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
 from xray_drake.messages import GraspKind, Outcome, SearchAction
@@ -163,8 +163,9 @@ def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
     acceleration = np.full(7, 0.7)
     v = np.full(7, 0.5)
     held = torque + arm.cell.inertial_torque(q, v, acceleration)
-    lag = Lag(q, v, held / arm.stiffness, np.zeros(7), acceleration)
-    np.testing.assert_allclose(arm.force(lag), press, atol=1e-6)
+    desired = q + held / arm.stiffness
+    tracking = Tracking(q, v, desired, v, acceleration)
+    np.testing.assert_allclose(arm.force(tracking), press, atol=1e-6)
 
 
 def test_two_contexts_of_one_controller_take_turns(
@@ -228,11 +229,11 @@ def test_at_home_it_is_out_of_the_cameras_view() -> None:
 def test_a_grasp_from_start_to_end(gripper: YumiGripper) -> None:
     script = Script(gripper)
     status = script.run(take_brick())
-    assert script.phases == WHOLE_WAY
+    assert script.stages == WHOLE_WAY
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
     lowest = np.array(take_brick().grasp.X_WG)
     lowest[2, 3] -= ExecutionConfig().jaw_overtravel
-    np.testing.assert_allclose(script.tool(Phase.CLOSE), lowest, atol=1e-5)
+    np.testing.assert_allclose(script.tool(CLOSE), lowest, atol=1e-5)
     np.testing.assert_allclose(script.way[-1][3], gripper.home, atol=1e-6)
 
 
@@ -241,7 +242,7 @@ def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:
     status = script.run(take_brick(z=-0.4))
     assert status.outcome is Outcome.FAILED
     assert status.reason.startswith("out of the arm's reach: ")
-    assert len(script.phases) == 1
+    assert len(script.stages) == 1
 
 
 def test_by_contact_it_brings_an_object_to_the_tote() -> None:

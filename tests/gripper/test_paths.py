@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.gripper.paths import Leg, make_path, stay
-from xray_drake.gripper.wrist import Wrist
+from xray_drake.gripper.carriers.paths import Leg, make_path, stay
+from xray_drake.gripper.carriers.wrist import Wrist
 
 WRIST = Wrist(
     R_FT=np.eye(3),

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from xray_drake.gripper.carrier import ReachError
-from xray_drake.gripper.wrist import Wrist
+from xray_drake.gripper.carriers.carrier import ReachError
+from xray_drake.gripper.carriers.wrist import Wrist
 
 WRIST = Wrist(
     R_FT=Rotation.from_euler("YX", [45, 180], degrees=True).as_matrix(),

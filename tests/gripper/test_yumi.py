@@ -18,11 +18,12 @@ from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
     load_gripper_geometry,
 )
-from xray_drake.gripper.carrier import Lag
-from xray_drake.gripper.execution import ExecutionConfig
+from xray_drake.gripper.actuation.contact import ExecutionConfig
+from xray_drake.gripper.carriers.carrier import Tracking
+from xray_drake.gripper.carriers.paths import Leg
 from xray_drake.gripper.grip_surfaces import PAD, add_grip_surfaces
-from xray_drake.gripper.paths import Leg
-from xray_drake.gripper.yumi import FINGER_JOINTS, HOME, add_gripper
+from xray_drake.gripper.transfer import HOME
+from xray_drake.gripper.yumi import FINGER_JOINTS, add_gripper
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
@@ -242,8 +243,8 @@ def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
             ).Eval(cell.plant_context)
             q, v = np.split(state, 2)
             acceleration = path.acceleration(time)
-            lag = Lag(q, v, desired - q, rate - v, acceleration)
-            felt.append(wrist.force(lag) + [0, 0, force])
+            tracking = Tracking(q, v, desired, rate, acceleration)
+            felt.append(wrist.force(tracking) + [0, 0, force])
         assert np.abs(felt).max() < 0.4 * ExecutionConfig.contact_force
         start, end = end, start
 

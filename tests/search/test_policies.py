@@ -10,7 +10,7 @@ from tests.ports import inputs_of
 from tests.search.records import stripped
 from xray_drake.choices import POLICIES
 from xray_drake.grasping.planner import ModelGraspPlanner
-from xray_drake.gripper.quasi_static import QuasiStaticGripper
+from xray_drake.gripper.actuation.ideal import QuasiStaticGripper
 from xray_drake.policy import policies
 from xray_drake.policy.ranking import RANKINGS, Scores, SearchView
 from xray_drake.policy.system import SearchPolicy

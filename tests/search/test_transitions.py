@@ -8,7 +8,7 @@ import pytest
 from pydrake.systems.framework import Context
 
 from tests.search.records import stripped
-from xray_drake.gripper.quasi_static import QuasiStaticGripper
+from xray_drake.gripper.transfer import Transfer
 from xray_drake.messages import Outcome, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
@@ -23,13 +23,13 @@ class Tries:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.number = 0
-        begin = QuasiStaticGripper._begin
+        begin = Transfer.begin
 
-        def counted(gripper: QuasiStaticGripper, *arguments: Any) -> Any:
+        def counted(transfer: Transfer, *arguments: Any) -> Any:
             self.number += 1
-            return begin(gripper, *arguments)
+            return begin(transfer, *arguments)
 
-        monkeypatch.setattr(QuasiStaticGripper, "_begin", counted)
+        monkeypatch.setattr(Transfer, "begin", counted)
 
     def since(self, search: Callable[[], SearchRecord]) -> tuple[Any, int]:
         before = self.number

@@ -8,17 +8,14 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex, RigidBody
 
 from xray_drake.choices import CARRIERS
-from xray_drake.gripper import arm_cell
-from xray_drake.gripper.arm import Arm
-from xray_drake.gripper.arm_cell import ArmCell, add_arm_model
-from xray_drake.gripper.carrier import Carrier
+from xray_drake.gripper.carriers import arm_cell
+from xray_drake.gripper.carriers.arm import Arm
+from xray_drake.gripper.carriers.arm_cell import ArmCell, add_arm_model
+from xray_drake.gripper.carriers.carrier import Carrier
+from xray_drake.gripper.carriers.wrist import JOINTS, Wrist
 from xray_drake.gripper.models import add_hand, add_model, joint_limits
-from xray_drake.gripper.wrist import JOINTS, Wrist
+from xray_drake.gripper.transfer import HOME
 
-HOME = np.array(
-    [[1.0, 0, 0, 0.0], [0, -1.0, 0, 0.32], [0, 0, -1.0, 0.34], [0, 0, 0, 1]]
-)
-"""Where the jaw waits: pointing down, beside the overhead camera's view."""
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 
 
@@ -32,8 +29,8 @@ class YumiGripper:
     Attributes:
         plant: in which they stand.
         carrier_instance: the joints of the wrist, see
-            :data:`xray_drake.gripper.wrist.JOINTS`, or of the arm, see
-            :data:`xray_drake.gripper.arm_cell.JOINTS`.
+            :data:`xray_drake.gripper.carriers.wrist.JOINTS`, or of the arm, see
+            :data:`xray_drake.gripper.carriers.arm_cell.JOINTS`.
         finger_instance: the joints of the left and of the right finger, each
             from open (0) to closed (25 mm).
         base_index: of ``base``.

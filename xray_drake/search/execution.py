@@ -7,12 +7,12 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder, System
 
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
-from xray_drake.gripper.controller import GripperController
-from xray_drake.gripper.quasi_static import (
+from xray_drake.gripper.actuation.ideal import (
     DrawnGripper,
     Judge,
     QuasiStaticGripper,
 )
+from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.rest_sensor import RestSensor
 from xray_drake.gripper.seal_light import SealLight
 from xray_drake.gripper.suction import Cup

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.gripper.quasi_static import LIFT_CLEARANCE
+from xray_drake.gripper.transfer import LIFT_CLEARANCE
 from xray_drake.lifetimes import my_context
 from xray_drake.messages import (
     GripperMode,

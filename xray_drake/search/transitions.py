@@ -6,9 +6,9 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 
-from xray_drake.gripper.quasi_static import (
+from xray_drake.gripper.actuation.ideal import (
+    IdealState,
     QuasiStaticGripper,
-    QuasiStaticMotion,
 )
 from xray_drake.messages import Grasp, SearchAction
 from xray_drake.scene.sleep import Sleeper
@@ -34,7 +34,7 @@ class Transition:
     time: float
     state: np.ndarray
     asleep: frozenset[str]
-    gripper: QuasiStaticMotion
+    gripper: IdealState
 
 
 class Transitions:

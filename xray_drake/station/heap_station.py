@@ -58,8 +58,8 @@ def build_heap_station(
 
     - ``applied_spatial_force``: list of ExternallyAppliedSpatialForce;
     - ``gripper.position``: where the gripper is drawn, see
-      :class:`xray_drake.gripper.quasi_static.QuasiStaticGripper`; or, where the
-      gripper is a body of the plant since execution is by contact,
+      :class:`xray_drake.gripper.actuation.ideal.QuasiStaticGripper`; or, where
+      the gripper is a body of the plant since execution is by contact,
       ``carrier.desired_state`` (2 n, of n joints) and
       ``fingers.desired_state`` (4), see
       :class:`xray_drake.gripper.controller.GripperController`.

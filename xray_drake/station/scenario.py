@@ -52,8 +52,8 @@ from xray_drake.faults import BREAKDOWNS
 from xray_drake.grasping.depth_planner import DepthPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.planner import GraspPlannerConfig
-from xray_drake.gripper.execution import ExecutionConfig
-from xray_drake.gripper.quasi_static import QuasiStaticConfig
+from xray_drake.gripper.actuation.contact import ExecutionConfig
+from xray_drake.gripper.actuation.ideal import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.geometric.config import check_expected
 from xray_drake.occupancy.geometric.flat import ExactInferenceConfig

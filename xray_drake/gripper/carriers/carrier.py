@@ -6,30 +6,31 @@ from typing import Protocol
 
 import numpy as np
 
-from xray_drake.gripper.paths import Leg, Path
+from xray_drake.gripper.carriers.paths import Leg, Path
+from xray_drake.gripper.transfer import TransferError
 
 
-class ReachError(ValueError):
+class ReachError(TransferError):
     """A pose that a carrier cannot take; the message is one line."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lag:
-    """How far joints are behind what is desired of them.
+class Tracking:
+    """How n joints follow what is desired of them.
 
     Attributes:
-        q: (n,) where they are, m or rad.
-        v: (n,) how fast they go.
-        position: (n,) desired less actual, m or rad.
-        velocity: (n,) the same of their velocities.
-        acceleration: (n,) what is desired.
+        q: (n,) positions, m or rad.
+        v: (n,) velocities.
+        q_desired: (n,) positions that they should have by now.
+        v_desired: (n,) velocities likewise.
+        a_desired: (n,) accelerations likewise.
     """
 
     q: np.ndarray
     v: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
+    q_desired: np.ndarray
+    v_desired: np.ndarray
+    a_desired: np.ndarray
 
 
 class Carrier(Protocol):
@@ -114,7 +115,7 @@ class Carrier(Protocol):
             ReachError: beyond its reach.
         """
 
-    def force(self, lag: Lag) -> np.ndarray:
+    def force(self, tracking: Tracking) -> np.ndarray:
         """Returns the (3,) force that the tool presses with, N."""
 
     def path(

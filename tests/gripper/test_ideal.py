@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.ports import inputs_of, outputs_of
 from xray_drake.grasping.judgement import JudgedGrasp
-from xray_drake.gripper.quasi_static import (
+from xray_drake.gripper.actuation.ideal import (
     DrawnGripper,
     QuasiStaticConfig,
     QuasiStaticGripper,

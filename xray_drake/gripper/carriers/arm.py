@@ -8,9 +8,9 @@ import numpy as np
 from pydrake.trajectories import CompositeTrajectory
 from scipy.spatial.transform import Rotation
 
-from xray_drake.gripper.arm_cell import MOUNT, ArmCell
-from xray_drake.gripper.carrier import Lag, ReachError
-from xray_drake.gripper.paths import Leg, Path, timed_curve
+from xray_drake.gripper.carriers.arm_cell import MOUNT, ArmCell
+from xray_drake.gripper.carriers.carrier import ReachError, Tracking
+from xray_drake.gripper.carriers.paths import Leg, Path, timed_curve
 from xray_drake.messages import Message
 
 READY = np.deg2rad([0.0, -60.0, 0.0, 10.0, 0.0, 60.0, 0.0])
@@ -73,10 +73,10 @@ class Arm(Message):
     """Seven turning joints; the tool frame T is at the flange.
 
     An arm with seven joints can be at a pose in many ways. Inverse kinematics
-    (:meth:`~xray_drake.gripper.arm_cell.ArmCell.solve`) finds some that are far
-    from the joints' limits; from there a straight way is followed in small
-    steps, each made exact by Newton's method, which leaves one way to turn the
-    elbow: away from the limits again.
+    (:meth:`~xray_drake.gripper.carriers.arm_cell.ArmCell.solve`) finds some
+    that are far from the joints' limits; from there a straight way is followed
+    in small steps, each made exact by Newton's method, which leaves one way to
+    turn the elbow: away from the limits again.
 
     Attributes:
         cell: the arm's model.
@@ -272,15 +272,18 @@ class Arm(Message):
             and q[0] - turn - full - more < self.cell.upper[0]
         ]
 
-    def force(self, lag: Lag) -> np.ndarray:
+    def force(self, tracking: Tracking) -> np.ndarray:
         """Returns the (3,) force that the tool presses with, N.
 
         What the drives exert without what it takes to accelerate the arm.
         """
         cell = self.cell
-        torque = cell.stiffness * lag.position + cell.damping * lag.velocity
-        torque = torque - cell.inertial_torque(lag.q, lag.v, lag.acceleration)
-        J = cell.jacobian(lag.q)
+        q, v = tracking.q, tracking.v
+        torque = cell.stiffness * (tracking.q_desired - q) + cell.damping * (
+            tracking.v_desired - v
+        )
+        torque = torque - cell.inertial_torque(q, v, tracking.a_desired)
+        J = cell.jacobian(q)
         J[:3] *= _LEVER
         # Where the arm is stretched it does not feel the force along it.
         wrench, *_ = np.linalg.lstsq(J.T, torque, rcond=_FEELING)

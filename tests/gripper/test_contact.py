@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from pydrake.multibody.plant import MultibodyPlant
 
-from xray_drake.gripper.execution import (
+from xray_drake.gripper.actuation.contact import (
+    ContactActuation,
+    ContactState,
     ExecutionConfig,
-    GraspExecution,
-    Motion,
-    Phase,
-    Senses,
+    Measurements,
+    Step,
 )
+from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.suction import CupState
+from xray_drake.gripper.transfer import Phase, Transfer
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
 from xray_drake.messages import (
     Grasp,
@@ -30,10 +32,11 @@ PERIOD = 0.01
 CONFIG = ExecutionConfig()
 WIDTH = 0.03
 
+DESCEND, CLOSE = Step.DESCEND, Step.CLOSE
 WHOLE_WAY = [
     Phase.APPROACH,
-    Phase.DESCEND,
-    Phase.CLOSE,
+    DESCEND,
+    CLOSE,
     Phase.LIFT,
     Phase.CHECK,
     Phase.CARRY,
@@ -64,53 +67,60 @@ def take(
     )
 
 
+def stage(state: ContactState) -> Phase | Step:
+    """The phase, or the step of the grasp."""
+    return state.step if state.phase is Phase.GRASP else state.phase
+
+
 class Script:
     """A gripper that goes where it is told, unless the script says else.
 
     ``width`` of what is between the fingers; ``vacuum`` with suction on;
-    ``push`` on the wrist, N (3,). Each by the phase and the time in it, and the
+    ``push`` on the wrist, N (3,). Each by the stage and the time in it, and the
     push by the flange's height, too.
     """
 
-    def __init__(self, gripper: YumiGripper) -> None:
+    def __init__(
+        self, gripper: YumiGripper, config: ExecutionConfig = CONFIG
+    ) -> None:
         self.gripper = gripper
-        self.execution = GraspExecution(gripper)
-        self.motion: Motion = self.execution.rest()
+        actuation = ContactActuation(gripper, config, period=PERIOD)
+        self.transfer = Transfer(actuation)
+        self.state = actuation.initial()
         self.time = 0.0
-        self.width: Callable[[Phase, float], float] = lambda phase, t: WIDTH
-        self.vacuum: Callable[[Phase, float], float] = lambda phase, t: 0.0
-        self.push: Callable[[Phase, float, float], np.ndarray] = (
-            lambda phase, t, z: np.zeros(3)
+        self.width: Callable[[Phase | Step, float], float] = lambda at, t: WIDTH
+        self.vacuum: Callable[[Phase | Step, float], float] = lambda at, t: 0.0
+        self.push: Callable[[Phase | Step, float, float], np.ndarray] = (
+            lambda at, t, z: np.zeros(3)
         )
         self.why = ""
-        self.way: list[tuple[float, Motion, GripperStatus, np.ndarray]] = []
+        self.way: list[
+            tuple[float, ContactState, GripperStatus, np.ndarray]
+        ] = []
 
     def step(self, action: SearchAction) -> None:
         self.time += PERIOD
-        before = self.motion
+        before, at = self.state, stage(self.state)
         since = self.time - before.since
         desired, _ = before.path.sample(self.time)
-        lag = np.zeros(len(desired))
-        lag[:3] = self.push(before.phase, since, float(desired[2]))
+        lag, still = np.zeros(len(desired)), np.zeros(len(desired))
+        lag[:3] = self.push(at, since, float(desired[2]))
         joints = desired + lag / self.gripper.carrier.stiffness
-        shut = self.gripper.finger_travel - self.width(before.phase, since) / 2
-        closing = before.phase is not Phase.APPROACH
+        shut = self.gripper.finger_travel - self.width(at, since) / 2
+        closing = at is not Phase.APPROACH
         finger = min(before.finger, shut) if closing else before.finger
-        drawn = self.vacuum(before.phase, since) if before.suction else 0.0
-        senses = Senses(
+        drawn = self.vacuum(at, since) if before.suction else 0.0
+        measured = Measurements(
             time=self.time,
-            joints=joints,
-            desired=desired,
+            tracking=Tracking(joints, still, desired, still, still),
             finger=finger,
             cup=CupState(vacuum=drawn, lost=self.why),
         )
-        if before.phase is Phase.IDLE and action.number != (
-            before.action.number
-        ):
-            self.motion = self.execution.begin(before, action, senses)
-        self.motion = self.execution.advance(self.motion, senses, PERIOD)
-        status = self.execution.status(self.motion)
-        self.way.append((self.time, self.motion, status, joints))
+        if at is Phase.IDLE and action.number != before.action.number:
+            self.state = self.transfer.begin(before, action, measured)
+        self.state = self.transfer.advance(self.state, measured)
+        status = self.transfer.status(self.state)
+        self.way.append((self.time, self.state, status, joints))
 
     def run(self, action: SearchAction) -> GripperStatus:
         """Runs an action to its end."""
@@ -124,23 +134,26 @@ class Script:
             assert self.time < 100.0
 
     @property
-    def phases(self) -> list[Phase]:
-        found: list[Phase] = []
-        for _, motion, _, _ in self.way:
-            if not found or found[-1] is not motion.phase:
-                found.append(motion.phase)
+    def stages(self) -> list[Phase | Step]:
+        found: list[Phase | Step] = []
+        for _, state, _, _ in self.way:
+            if not found or found[-1] is not stage(state):
+                found.append(stage(state))
         return found
 
-    def tool(self, phase: Phase) -> np.ndarray:
-        """The (4, 4) pose of the grasp frame when a phase ended."""
-        *_, (_, motion, _, joints) = (
-            entry for entry in self.way if entry[1].phase is phase
+    def states(self, at: Phase | Step) -> list[ContactState]:
+        return [state for _, state, _, _ in self.way if stage(state) is at]
+
+    def tool(self, at: Phase | Step) -> np.ndarray:
+        """The (4, 4) pose of the grasp frame when a stage ended."""
+        *_, (_, state, _, joints) = (
+            entry for entry in self.way if stage(entry[1]) is at
         )
         frames = {
             GraspKind.JAW: self.gripper.X_BJ,
             GraspKind.SUCTION: self.gripper.X_BC,
         }
-        X_BG = frames[motion.action.grasp.kind]
+        X_BG = frames[state.action.grasp.kind]
         return self.gripper.carrier.pose(joints) @ X_BG
 
 
@@ -148,83 +161,73 @@ def test_nothing_happens_without_a_command(gripper: YumiGripper) -> None:
     script = Script(gripper)
     for _ in range(20):
         script.step(SearchAction())
-    assert script.phases == [Phase.IDLE]
+    assert script.stages == [Phase.IDLE]
     np.testing.assert_allclose(script.way[-1][3], gripper.home)
 
 
-def test_a_jaw_grasp_from_start_to_end(gripper: YumiGripper) -> None:
+@pytest.fixture(scope="module")
+def whole(gripper: YumiGripper) -> Script:
+    """A jaw grasp from start to end."""
     script = Script(gripper)
     status = script.run(take())
-    assert script.phases == WHOLE_WAY
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
-    assert script.time < 15.0
+    return script
+
+
+def test_a_jaw_grasp_from_start_to_end(whole: Script) -> None:
+    assert whole.stages == WHOLE_WAY
+    assert whole.time < 15.0
     lowest = np.array(take().grasp.X_WG)
     lowest[2, 3] -= CONFIG.jaw_overtravel  # nothing is touched before
-    np.testing.assert_allclose(script.tool(Phase.CLOSE), lowest, atol=1e-6)
-    over = script.tool(Phase.CARRY)[:2, 3] - TOTE_POSITION[:2]
+    np.testing.assert_allclose(whole.tool(CLOSE), lowest, atol=1e-6)
+    over = whole.tool(Phase.CARRY)[:2, 3] - TOTE_POSITION[:2]
     assert np.all(np.abs(over) <= 0.1 + 1e-6)
-    down = script.tool(Phase.LOWER)
+    down = whole.tool(Phase.LOWER)
     assert down[2, 3] == pytest.approx(0.02 + CONFIG.release_height)
-    np.testing.assert_allclose(script.way[-1][3], gripper.home, atol=1e-6)
+    np.testing.assert_allclose(whole.way[-1][3], whole.gripper.home, atol=1e-6)
 
 
 def test_a_suction_grasp_from_start_to_end(gripper: YumiGripper) -> None:
     script = Script(gripper)
-    script.width = lambda phase, t: 0.0
-    script.vacuum = lambda phase, t: {
+    script.width = lambda at, t: 0.0
+    script.vacuum = lambda at, t: {
         Phase.APPROACH: 0.0,
-        Phase.DESCEND: float(t > 1.7),  # just before the end
-    }.get(phase, 1.0)
+        DESCEND: float(t > 1.7),  # just before the end
+    }.get(at, 1.0)
     action = take(GraspKind.SUCTION)
-    status = script.run(action)
-    assert script.phases == [
-        Phase.SEAL if phase is Phase.CLOSE else phase for phase in WHOLE_WAY
-    ]
-    assert status.outcome is Outcome.LIFTED
-    for time, motion, _, _ in script.way:
-        drawing = motion.phase in WHOLE_WAY[1:7] or motion.phase is Phase.SEAL
-        assert motion.suction == drawing, time
+    assert script.run(action).outcome is Outcome.LIFTED
+    assert script.stages == WHOLE_WAY
+    for _, state, _, _ in script.way:
+        assert state.suction == (stage(state) in WHOLE_WAY[1:7])
     # It stopped where it sealed.
-    assert script.tool(Phase.SEAL)[2, 3] > action.grasp.X_WG[2, 3]
+    assert script.tool(CLOSE)[2, 3] > action.grasp.X_WG[2, 3]
 
 
-def test_the_wrist_goes_smoothly_and_within_its_limits(
-    gripper: YumiGripper,
-) -> None:
-    script = Script(gripper)
-    script.run(take())
-    q = np.array([joints for *_, joints in script.way])
+def test_the_wrist_goes_smoothly_and_within_its_limits(whole: Script) -> None:
+    q = np.array([joints for *_, joints in whole.way])
     v = np.diff(q, axis=0) / PERIOD
     a = np.diff(v, axis=0) / PERIOD
-    assert np.all(np.abs(v) <= gripper.carrier.velocity + 1e-6)
+    assert np.all(np.abs(v) <= whole.gripper.carrier.velocity + 1e-6)
     assert np.abs(v[:, :3]).max() <= CONFIG.speed + 1e-6
     # Between two samples of the path; a jump of 1 mm would give 10 m/s².
     assert np.abs(a[:, :3]).max() <= 1.5 * CONFIG.acceleration
 
 
-def test_the_fingers_open_in_time_and_not_too_fast(
-    gripper: YumiGripper,
-) -> None:
-    script = Script(gripper)
-    script.run(take())
-    fingers = np.array([motion.finger for _, motion, _, _ in script.way])
+def test_the_fingers_open_in_time_and_not_too_fast(whole: Script) -> None:
+    fingers = np.array([state.finger for _, state, _, _ in whole.way])
     assert np.abs(np.diff(fingers)).max() <= 0.025 * PERIOD + 1e-9
-    descent = [
-        m.finger for _, m, _, _ in script.way if m.phase is Phase.DESCEND
-    ]
+    descent = [state.finger for state in whole.states(DESCEND)]
     np.testing.assert_allclose(
         0.05 - 2 * np.array(descent), WIDTH + 2 * CONFIG.clearance, atol=1e-6
     )
-    held = [m.finger for _, m, _, _ in script.way if m.phase is Phase.CARRY]
+    held = [state.finger for state in whole.states(Phase.CARRY)]
     np.testing.assert_allclose(2000 * (np.array(held) - 0.01), 20.0, atol=1e-6)
     assert fingers[-1] == 0.0
 
 
-def test_what_the_status_says(gripper: YumiGripper) -> None:
-    script = Script(gripper)
-    script.run(take())
+def test_what_the_status_says(whole: Script) -> None:
     said = []
-    for _, _, status, _ in script.way:
+    for _, _, status, _ in whole.way:
         now = (status.stirring, status.settling, status.held, status.loose)
         if not said or said[-1] != now:
             said.append(now)
@@ -237,36 +240,34 @@ def test_what_the_status_says(gripper: YumiGripper) -> None:
         (False, False, "", ("brick",)),
         (False, False, "", ()),
     ]
-    busy = [status for *_, status, _ in script.way][:-1]
+    busy = [status for *_, status, _ in whole.way][:-1]
     assert all(status.outcome is Outcome.NONE for status in busy)
 
 
 def failure(script: Script, action: SearchAction) -> GripperStatus:
     """Runs an action that fails; the gripper must come home without a jump."""
     status = script.run(action)
-    assert status.reason
-    assert script.phases[-4:] == [
+    assert script.stages[-4:] == [
         Phase.ABORT,
         Phase.HOME,
         Phase.SETTLE,
         Phase.IDLE,
     ]
-    motion = script.motion
-    assert not motion.suction
-    assert motion.finger == 0.0
-    np.testing.assert_allclose(motion.path.end, script.gripper.home)
-    settling = [
+    state = script.state
+    assert not state.suction
+    assert state.finger == 0.0
+    np.testing.assert_allclose(state.path.end, script.gripper.home)
+    assert all(
         status.settling
-        for _, motion, status, _ in script.way
-        if motion.phase is Phase.SETTLE
-    ]
-    assert all(settling)
+        for _, state, status, _ in script.way
+        if state.phase is Phase.SETTLE
+    )
     return status
 
 
 def test_a_jaw_that_closes_on_nothing(gripper: YumiGripper) -> None:
     script = Script(gripper)
-    script.width = lambda phase, t: 0.0
+    script.width = lambda at, t: 0.0
     status = failure(script, take())
     assert status.outcome is Outcome.FAILED
     assert status.reason == "the jaw closed on nothing"
@@ -274,20 +275,20 @@ def test_a_jaw_that_closes_on_nothing(gripper: YumiGripper) -> None:
 
 def test_a_cup_that_does_not_seal(gripper: YumiGripper) -> None:
     script = Script(gripper)
-    script.width = lambda phase, t: 0.0
+    script.width = lambda at, t: 0.0
     status = failure(script, take(GraspKind.SUCTION))
     assert status.outcome is Outcome.FAILED
     assert status.reason == "the cup does not seal"
-    reached = script.tool(Phase.SEAL)[2, 3]
+    reached = script.tool(CLOSE)[2, 3]
     assert reached == pytest.approx(0.02 - CONFIG.cup_overtravel)
 
 
 @pytest.mark.parametrize("kind", [GraspKind.JAW, GraspKind.SUCTION])
 def test_something_in_the_way(gripper: YumiGripper, kind: GraspKind) -> None:
     script = Script(gripper)
-    script.width = lambda phase, t: WIDTH * (kind is GraspKind.JAW)
-    script.push = lambda phase, t, z: np.array(
-        [0, 0, 8.0 * (phase is Phase.DESCEND and t > 0.8)]
+    script.width = lambda at, t: WIDTH * (kind is GraspKind.JAW)
+    script.push = lambda at, t, z: np.array(
+        [0, 0, 8.0 * (at is DESCEND and t > 0.8)]
     )
     status = failure(script, take(kind))
     assert status.outcome is Outcome.FAILED
@@ -297,18 +298,18 @@ def test_something_in_the_way(gripper: YumiGripper, kind: GraspKind) -> None:
 def test_touching_a_little_early_is_no_failure(gripper: YumiGripper) -> None:
     script = Script(gripper)
     touching = 0.02 + 0.1142 + 0.004
-    script.push = lambda phase, t, z: np.array(
-        [0, 0, 8.0 * (phase is Phase.DESCEND and z < touching)]
+    script.push = lambda at, t, z: np.array(
+        [0, 0, 8.0 * (at is DESCEND and z < touching)]
     )
     assert script.run(take()).outcome is Outcome.LIFTED
-    early = script.tool(Phase.CLOSE)[2, 3] - 0.02
+    early = script.tool(CLOSE)[2, 3] - 0.02
     assert early == pytest.approx(0.004, abs=0.001)
 
 
 @pytest.mark.parametrize("phase", [Phase.LIFT, Phase.CHECK, Phase.CARRY])
 def test_what_slips_is_noticed(gripper: YumiGripper, phase: Phase) -> None:
     script = Script(gripper)
-    script.width = lambda now, t: 0.0 if now is phase and t > 0.2 else WIDTH
+    script.width = lambda at, t: 0.0 if at is phase and t > 0.2 else WIDTH
     status = failure(script, take())
     assert status.outcome is Outcome.SLIPPED
     assert status.reason == "it slipped out of the jaw"
@@ -316,105 +317,95 @@ def test_what_slips_is_noticed(gripper: YumiGripper, phase: Phase) -> None:
 
 def test_what_slips_over_the_tote_has_arrived(gripper: YumiGripper) -> None:
     script = Script(gripper)
-    script.width = lambda phase, t: (
-        0.0 if phase is Phase.LOWER and t > 0.2 else WIDTH
-    )
+    script.width = lambda at, t: 0.0 if at is Phase.LOWER and t > 0.2 else WIDTH
     assert script.run(take()).outcome is Outcome.LIFTED
 
 
-def impatient(gripper: YumiGripper, phase: Phase) -> Script:
+def impatient(whole: Script, phase: Phase) -> Script:
     """A script whose time for an action is over in the midst of a phase."""
-    script = Script(gripper)
-    script.run(take())
-    times = [t for t, motion, *_ in script.way if motion.phase is phase]
-    give_up = float(np.mean(times)) - script.motion.began
-    script = Script(gripper)
-    script.execution = GraspExecution(gripper, replace(CONFIG, give_up=give_up))
-    return script
+    times = [t for t, state, *_ in whole.way if state.phase is phase]
+    give_up = float(np.mean(times)) - whole.state.began
+    return Script(whole.gripper, replace(CONFIG, give_up=give_up))
 
 
-def test_trouble_over_the_tote_is_no_success(gripper: YumiGripper) -> None:
-    script = Script(gripper)
-    script.push = lambda phase, t, z: np.array(
-        [0, 0, 400.0 * (phase is Phase.LOWER)]
-    )
-    status = failure(script, take())
-    assert status.outcome is Outcome.SLIPPED
-    assert status.reason == "the wrist is stuck"
-
-    status = failure(impatient(gripper, Phase.LOWER), take())
+def test_trouble_over_the_tote_is_no_success(whole: Script) -> None:
+    status = failure(impatient(whole, Phase.LOWER), take())
     assert status.outcome is Outcome.SLIPPED
     assert status.reason.startswith("gave up after")
 
 
-def test_what_has_been_set_down_stays_so(gripper: YumiGripper) -> None:
+def test_what_has_been_set_down_stays_so(whole: Script) -> None:
     """Though the time is over before the jaw is open."""
-    status = impatient(gripper, Phase.RELEASE).run(take())
+    status = impatient(whole, Phase.RELEASE).run(take())
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
 
 
 def test_a_lost_seal_is_noticed(gripper: YumiGripper) -> None:
     script = Script(gripper)
-    script.width = lambda phase, t: 0.0
-    script.vacuum = lambda phase, t: float(
-        phase is Phase.SEAL or (phase is Phase.LIFT and t < 0.3)
+    script.width = lambda at, t: 0.0
+    script.vacuum = lambda at, t: float(
+        at is CLOSE or (at is Phase.LIFT and t < 0.3)
     )
     script.why = "it slides off"
     status = failure(script, take(GraspKind.SUCTION))
     assert (status.outcome, status.reason) == (Outcome.SLIPPED, "it slides off")
 
 
-def test_a_wrist_that_is_stuck(gripper: YumiGripper) -> None:
+@pytest.mark.parametrize(
+    ("phase", "push"), [(Phase.LIFT, -400.0), (Phase.LOWER, 400.0)]
+)
+def test_a_wrist_that_is_stuck(
+    gripper: YumiGripper, phase: Phase, push: float
+) -> None:
     script = Script(gripper)
-    script.push = lambda phase, t, z: np.array(
-        [0, 0, -400.0 * (phase is Phase.LIFT)]
-    )
+    script.push = lambda at, t, z: np.array([0, 0, push * (at is phase)])
     status = failure(script, take())
-    assert (status.outcome, status.reason) == (
-        Outcome.SLIPPED,
-        "the wrist is stuck",
-    )
+    assert status.outcome is Outcome.SLIPPED
+    assert status.reason == "the wrist is stuck"
 
 
 def test_it_gives_up_within_a_time(gripper: YumiGripper) -> None:
     script = Script(gripper)
     # The fingers never come to rest.
-    script.width = lambda phase, t: 0.02 + 0.005 * (round(t / 0.05) % 2)
+    script.width = lambda at, t: 0.02 + 0.005 * (round(t / 0.05) % 2)
     status = failure(script, take())
     assert status.reason == "the jaw does not come to rest"
-    script.execution = GraspExecution(gripper, replace(CONFIG, give_up=1.5))
-    script.width = lambda phase, t: WIDTH
-    status = failure(script, take(number=2))
-    assert status.reason == "gave up after 1.5 s"
+    script = Script(gripper, replace(CONFIG, give_up=1.5))
+    assert failure(script, take()).reason == "gave up after 1.5 s"
 
 
 def test_lowering_stops_at_what_is_below(gripper: YumiGripper) -> None:
     script = Script(gripper)
-    script.push = lambda phase, t, z: np.array(
-        [0, 0, 5.0 * (phase is Phase.LOWER and t > 0.7)]
+    script.push = lambda at, t, z: np.array(
+        [0, 0, 5.0 * (at is Phase.LOWER and t > 0.7)]
     )
     assert script.run(take()).outcome is Outcome.LIFTED
     assert script.tool(Phase.RELEASE)[2, 3] > 0.1
 
 
-def test_out_of_reach(gripper: YumiGripper) -> None:
+@pytest.mark.parametrize(
+    ("action", "outcome", "reason"),
+    [
+        (take(z=-0.3), Outcome.FAILED, "out of the wrist's reach: z"),
+        (
+            SearchAction(number=1),
+            Outcome.NO_GRASP,
+            "no candidate has a grasp",
+        ),
+        (
+            SearchAction(number=1, invalid=True),
+            Outcome.NO_GRASP,
+            "the choice has no grasp, others have",
+        ),
+    ],
+)
+def test_what_is_not_tried(
+    gripper: YumiGripper, action: SearchAction, outcome: Outcome, reason: str
+) -> None:
     script = Script(gripper)
-    status = script.run(take(z=-0.3))
-    assert status.outcome is Outcome.FAILED
-    assert status.reason == "out of the wrist's reach: z"
-    assert script.phases == [Phase.IDLE]
-
-
-def test_no_grasp(gripper: YumiGripper) -> None:
-    status = Script(gripper).run(SearchAction(number=1))
-    assert status.outcome is Outcome.NO_GRASP
-
-
-def test_no_grasp_on_what_was_chosen(gripper: YumiGripper) -> None:
-    action = SearchAction(number=1, invalid=True)
-    status = Script(gripper).run(action)
-    assert status.outcome is Outcome.NO_GRASP
-    assert status.reason == "the choice has no grasp, others have"
+    status = script.run(action)
+    assert (status.outcome, status.reason) == (outcome, reason)
+    assert script.stages == [Phase.IDLE]
 
 
 def test_the_next_one_goes_to_another_place(gripper: YumiGripper) -> None:

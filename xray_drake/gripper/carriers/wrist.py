@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from xray_drake.gripper.carrier import Lag, ReachError
-from xray_drake.gripper.paths import Leg, Path, make_path
+from xray_drake.gripper.carriers.carrier import ReachError, Tracking
+from xray_drake.gripper.carriers.paths import Leg, Path, make_path
 from xray_drake.messages import Message
 
 JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -131,14 +131,16 @@ class Wrist(Message):
         q[:2] = np.clip(q[:2], self.lower[:2], self.upper[:2])
         return q
 
-    def force(self, lag: Lag) -> np.ndarray:
+    def force(self, tracking: Tracking) -> np.ndarray:
         """Returns the (3,) force that the tool presses with, N.
 
         What the slides' drives exert without what it takes to accelerate wrist
         and gripper, while the tool does not turn.
         """
-        effort = self.stiffness * lag.position + self.damping * lag.velocity
-        return effort[:3] - self.mass * lag.acceleration[:3]
+        effort = self.stiffness * (
+            tracking.q_desired - tracking.q
+        ) + self.damping * (tracking.v_desired - tracking.v)
+        return effort[:3] - self.mass * tracking.a_desired[:3]
 
     def path(
         self, start: np.ndarray, legs: Sequence[Leg], begin: float

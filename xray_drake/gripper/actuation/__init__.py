@@ -1,0 +1,1 @@
+"""What acts on an object in a transfer: an ideal grip, or contact."""

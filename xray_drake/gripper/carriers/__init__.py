@@ -1,0 +1,1 @@
+"""What moves the gripper about: a wrist or an arm."""
