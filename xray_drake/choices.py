@@ -12,18 +12,6 @@ TARGET_NAMES = (*BOX_TARGETS, "lid", "domino", "flute")
 TALL_TARGETS = ("cube", "mug")
 """▲ Targets that are not flat: a heap is dropped on them lying on any face."""
 
-POLICIES = (
-    "xray",
-    "largest",
-    "random",
-    "oracle",
-    "memory",
-    "lookahead",
-    "grasp_aware",
-    "combined",
-)
-"""What each consists of is in :mod:`xray_drake.policy.policies`."""
-
 DETECTORS = ("ground_truth", "hsv")
 SEGMENTERS = ("ground_truth", "depth")
 OCCUPANCIES = ("learned", "posterior", "exact", "expected")

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from xray_drake import __version__
 from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.cli.main import app, errors_as_lines
-from xray_drake.policy.policies import POLICIES
+from xray_drake.policy.registry import POLICIES
 from xray_drake.processes import Failed
 from xray_drake.scene.heap import HeapError
 from xray_drake.station.scenario import ScenarioError

@@ -14,7 +14,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gym import ENV_ID
-from xray_drake.gym.agents import random_agent, xray_agent
+from xray_drake.gym.agents import policy_agent, random_agent, xray_agent
 from xray_drake.gym.environment import MechanicalSearchEnv
 from xray_drake.gym.rewards import (
     SearchState,
@@ -110,7 +110,7 @@ def played(
     assert isinstance(env.unwrapped, DrakeGymEnv)
     return play(
         env,
-        lambda observation, rng: xray_agent(observation, target_first=False),
+        policy_agent("xray", target_first=False),
         seed=7,
     )
 
@@ -338,7 +338,7 @@ def test_agents() -> None:
     assert xray_agent(observation) == 0
     observation["action_mask"] = np.array([1, 1, 1, 0], np.int8)
     assert xray_agent(observation) == 2  # the target first
-    assert xray_agent(observation, target_first=False) == 1
+    assert policy_agent("xray", target_first=False)(observation) == 1
     rng = np.random.default_rng(0)
     drawn = {random_agent(observation, rng) for _ in range(50)}
     assert drawn == {0, 1, 2}

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xray_drake.messages import InstanceMasks, OccupancyDistribution
-from xray_drake.policy.oracle import oracle
+from xray_drake.policy.beyond.oracle import oracle
 from xray_drake.policy.ranking import SearchView, order
 
 SHAPE = (12, 16)

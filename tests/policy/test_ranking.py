@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from xray_drake.messages import InstanceMasks, OccupancyDistribution
 from xray_drake.policy.ranking import (
-    RANKINGS,
     Ranked,
+    Ranking,
     Scores,
     SearchView,
     candidates,
@@ -139,20 +139,12 @@ def test_random_is_uniform_and_follows_its_generator() -> None:
         assert first.count(name) / 2000 == pytest.approx(0.25, abs=0.05)
 
 
-@pytest.mark.parametrize("name", ["xray", "largest"])
-def test_the_deterministic_rankings_draw_nothing(name: str) -> None:
+@pytest.mark.parametrize("ranking", [xray, largest])
+def test_the_deterministic_rankings_draw_nothing(ranking: Ranking) -> None:
     generator = rng(3)
     before = generator.bit_generator.state
-    RANKINGS[name](random_view(7, 0.0), generator)
+    ranking(random_view(7, 0.0), generator)
     assert generator.bit_generator.state == before
-
-
-def test_rankings_by_name() -> None:
-    assert dict(RANKINGS) == {
-        "xray": xray,
-        "largest": largest,
-        "random": random,
-    }
 
 
 def test_equal_scores_keep_the_order_of_the_candidates() -> None:

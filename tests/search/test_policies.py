@@ -8,15 +8,9 @@ import pytest
 
 from tests.ports import inputs_of
 from tests.search.records import stripped
-from xray_drake.choices import POLICIES
-from xray_drake.grasping.planner import ModelGraspPlanner
-from xray_drake.gripper.actuation.ideal import QuasiStaticGripper
-from xray_drake.policy import policies
-from xray_drake.policy.ranking import RANKINGS, Scores, SearchView
-from xray_drake.policy.system import SearchPolicy
+from xray_drake.policy.ranking import Scores, SearchView
+from xray_drake.policy.registry import POLICIES
 from xray_drake.scene.heap import Heap
-from xray_drake.search import diagram as module
-from xray_drake.search import execution
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
@@ -57,21 +51,6 @@ def nameless(record: SearchRecord) -> dict[str, Any]:
 PAPER = ("xray", "largest", "random")
 
 
-def test_there_are_the_papers_and_those_beyond() -> None:
-    assert set(RANKINGS) == set(PAPER)
-    assert set(policies.POLICIES) == {
-        *PAPER,
-        "oracle",
-        "memory",
-        "lookahead",
-        "grasp_aware",
-        "combined",
-    }
-    assert set(POLICIES) == set(policies.POLICIES)
-    for name, ranking in RANKINGS.items():
-        assert policies.POLICIES[name] == policies.Policy(ranking)
-
-
 def test_one_ranking_under_any_name_gives_one_rollout(
     tiny_heap: Heap,
     tiny_scenario: Scenario,
@@ -83,8 +62,8 @@ def test_one_ranking_under_any_name_gives_one_rollout(
     names = (*PAPER, "lookahead")
     for name in names:
         recorders[name] = Recorder()
-        kind = replace(policies.POLICIES[name], ranking=recorders[name])
-        monkeypatch.setitem(policies.POLICIES, name, kind)
+        kind = replace(POLICIES[name], ranking=recorders[name])
+        monkeypatch.setitem(POLICIES.registered, name, kind)
         tiny_scenario.policy.name = name
         diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
         records[name] = run_search(diagram)
@@ -96,49 +75,7 @@ def test_one_ranking_under_any_name_gives_one_rollout(
         assert nameless(records[name]) == nameless(records[first])
 
 
-def test_the_systems_are_built_alike(
-    tiny_heap: Heap,
-    tiny_scenario: Scenario,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The scenario's other settings reach planner, policy and gripper."""
-    calls: list[dict[str, Any]] = []
-
-    def noting(kind: type) -> Any:
-        def build(*args: Any, **kwargs: Any) -> Any:
-            built = kind(*args, **kwargs)
-            calls.append({"kind": kind, "built": built, **kwargs})
-            return built
-
-        return build
-
-    for where, kind in (
-        (module, SearchPolicy),
-        (execution, QuasiStaticGripper),
-        (module, ModelGraspPlanner),
-    ):
-        monkeypatch.setattr(where, kind.__name__, noting(kind))
-    tiny_scenario.policy.target_first = True
-    for name in policies.POLICIES:
-        tiny_scenario.policy.name = name
-        build_search_diagram(tiny_scenario, heap=tiny_heap)
-    planners, deciders, grippers = calls[::3], calls[1::3], calls[2::3]
-    assert [call["ranking"] for call in deciders] == [
-        kind.ranking for kind in policies.POLICIES.values()
-    ]
-    for planner, policy, gripper in zip(
-        planners, deciders, grippers, strict=True
-    ):
-        assert policy["planner"] is gripper["judge"] is planner["built"]
-        assert planner["seed"] == policy["seed"] == gripper["seed"] == 7
-        assert planner["config"] is tiny_scenario.gripper.planner
-        assert gripper["config"] is tiny_scenario.gripper.quasi_static
-        assert policy["target_first"] is True
-        assert policy["min_visible_pixels"] == 50
-        assert policy["bodies"] == gripper["bodies"]
-
-
-@pytest.mark.parametrize("name", policies.POLICIES)
+@pytest.mark.parametrize("name", POLICIES)
 def test_each_gets_what_it_needs_and_no_more(
     name: str, tiny_heap: Heap, tiny_scenario: Scenario
 ) -> None:

@@ -3,8 +3,8 @@
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from xray_drake.benchmark.records import (
@@ -25,6 +25,7 @@ from xray_drake.files import (
     sole_writer,
     write_whole_file,
 )
+from xray_drake.policy.registry import POLICIES, Policy, for_workers
 from xray_drake.processes import Died, Failed, JobProcesses, Sent
 from xray_drake.provenance import (
     Provenance,
@@ -50,11 +51,13 @@ class Job:
         scenario: as YAML; seed, policy and occupancy are replaced.
         seed: of the heap.
         variants: not done yet.
+        policies: those that a worker does not know.
     """
 
     scenario: str
     seed: int
     variants: tuple[Variant, ...]
+    policies: Mapping[str, Policy] = field(default_factory=dict)
 
 
 def run_job(job: Job) -> Iterator[Record]:
@@ -76,6 +79,8 @@ def run_job(job: Job) -> Iterator[Record]:
     from xray_drake.search.transitions import Transitions
     from xray_drake.station.objects import make_heap
 
+    for name, policy in job.policies.items():
+        POLICIES.register(name, policy)
     scenario = parse_scenario(job.scenario, "benchmark")
     scenario.seed = job.seed
     start = time.process_time()
@@ -152,13 +157,14 @@ def run_rollouts(
         )
         record_run(folder, run, resumed=bool(records))
         done = {(Variant.of(r), heap_of(r)) for r in records}
+        policies = for_workers(v.policy for v in variants)
         jobs = []
         for seed in seeds:
             missing = tuple(
                 v for v in variants if (v, (target, seed)) not in done
             )
             if missing:
-                jobs.append(Job(text, seed, missing))
+                jobs.append(Job(text, seed, missing, policies))
         with append_json_lines(folder / ROLLOUTS) as add:
             for record in _run_jobs(jobs, workers):
                 add(record)

@@ -14,11 +14,11 @@ from xray_drake.choices import (
     EXECUTIONS,
     GRASPS,
     OCCUPANCIES,
-    POLICIES,
     SEGMENTERS,
     TALL_TARGETS,
     TARGET_NAMES,
 )
+from xray_drake.policy.registry import POLICIES
 from xray_drake.splits import SPLITS
 from xray_drake.threads import usable_cores
 
@@ -39,10 +39,10 @@ CORES = usable_cores()
 ScenarioName = Annotated[
     str, typer.Option(help="Name of a scenario, or a YAML file.")
 ]
-Policy = Annotated[str | None, typer.Option(help=f"{one_of(POLICIES)}.")]
+Policy = Annotated[str | None, typer.Option(help=f"{one_of([*POLICIES])}.")]
 Policies = Annotated[
     str,
-    typer.Option(help=f"{one_of(POLICIES)}, or some with commas between."),
+    typer.Option(help=f"{one_of([*POLICIES])}, or some with commas between."),
 ]
 Target = Annotated[
     str | None, typer.Option(help=f"{one_of((*FLAT_TARGETS, *TALL_TARGETS))}.")

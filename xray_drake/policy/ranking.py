@@ -1,6 +1,6 @@
 """The paper's three rankings: which object to grasp first."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -186,14 +186,6 @@ def random(view: SearchView, rng: np.random.Generator) -> Scores:
 def _regardless(values: np.ndarray) -> Scores:
     """Returns (n,) values as of a ranking that asks not what hides what."""
     return Scores(values.reshape(-1, 1), np.ones(len(values), bool))
-
-
-RANKINGS: Mapping[str, Ranking] = {
-    "xray": xray,
-    "largest": largest,
-    "random": random,
-}
-"""By the name that the scenario and the command line use."""
 
 
 def candidates(instances: InstanceMasks, *, min_pixels: int) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
 from xray_drake.policy.beyond.memory import MemoryConfig, TargetMemory
 from xray_drake.policy.beyond.memory_system import SearchMemory
 from xray_drake.policy.choice_system import ChoicePolicy
-from xray_drake.policy.policies import POLICIES, Policy
-from xray_drake.policy.ranking import RANKINGS
+from xray_drake.policy.ranking import largest
+from xray_drake.policy.registry import POLICIES, Policy
 from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
 from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
@@ -160,7 +160,7 @@ def build_search_diagram(
     # Whoever else decides needs nothing beside what all policies see.
     kind = POLICIES[scenario.policy.name]
     if agent or "search_policy" in replaced:
-        kind = Policy(RANKINGS["largest"])
+        kind = Policy(largest)
 
     perception = add_perception(
         builder,

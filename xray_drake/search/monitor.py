@@ -17,6 +17,7 @@ from xray_drake.messages import (
     Outcome,
     SearchAction,
 )
+from xray_drake.policy.registry import POLICIES
 from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin, inside_tote
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import AGENT, SearchDiagram
@@ -115,6 +116,9 @@ class SearchMonitor:
             },
             target_first=scenario.policy.target_first and not diagram.agent,
             scenario=record_scenario(scenario),
+            policy_source=""
+            if diagram.agent
+            else POLICIES[scenario.policy.name].source,
             provenance=scenario_provenance(scenario),
         )
 

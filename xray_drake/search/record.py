@@ -95,6 +95,8 @@ class SearchRecord:
     Attributes:
         horizon: actions at most.
         policy, occupancy, execution: what was used.
+        policy_source: where a policy comes from that is not the package's own;
+            of the others the record does not tell.
         seed: of the scenario.
         target: its name.
         objects: names of the distractors in the bin at the start.
@@ -125,6 +127,7 @@ class SearchRecord:
     end: str = ""
     target_first: bool = True
     scenario: str = ""
+    policy_source: str = ""
     provenance: Provenance = field(default_factory=current)
 
     @property
@@ -144,6 +147,11 @@ class SearchRecord:
             "num_actions": self.num_actions,
             "horizon": self.horizon,
             "policy": self.policy,
+            **(
+                {"policy_source": self.policy_source}
+                if self.policy_source
+                else {}
+            ),
             "target_first": self.target_first,
             "occupancy": self.occupancy,
             "execution": self.execution,

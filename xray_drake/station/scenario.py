@@ -24,7 +24,6 @@ from xray_drake.choices import (
     EXECUTIONS,
     GRASPS,
     OCCUPANCIES,
-    POLICIES,
     SEGMENTERS,
     TALL_TARGETS,
     TARGET_NAMES,
@@ -63,6 +62,7 @@ from xray_drake.occupancy.learned.weights import WeightsError, read_card
 from xray_drake.perception.depth_noise import DepthNoise
 from xray_drake.perception.depth_segmenter import DepthSegmenterConfig
 from xray_drake.perception.hsv_target import HsvTargetConfig
+from xray_drake.policy.registry import POLICIES, PolicyError
 from xray_drake.resources import models_dir
 from xray_drake.scene.cameras import (
     CameraSampling,
@@ -166,8 +166,8 @@ class PerceptionConfig:
 class PolicyConfig:
     """Which object is grasped next."""
 
-    # One of POLICIES; see ``xray_drake.policy.policies``.
-    name: str = choice("xray", POLICIES)
+    # One of POLICIES in xray_drake.policy.registry, or module:object.
+    name: str = "xray"
     # Grasp the target as soon as a grasp on it exists.
     target_first: bool = True
     # Objects with fewer visible pixels are not candidates.
@@ -395,9 +395,9 @@ def check_scenario(
     Args:
         scenario: to be checked.
         source: where it came from, for messages.
-        searched: a search is to be run: the network's weights must be there,
-            and fit the camera. What was recorded elsewhere can be read, and
-            heaps be dropped, without.
+        searched: a search is to be run: the policy must be known, and the
+            network's weights be there and fit the camera. What was recorded
+            elsewhere can be read, and heaps be dropped, without.
 
     Raises:
         ScenarioError: a choice that does not exist or a number out of range.
@@ -440,6 +440,10 @@ def check_scenario(
             "occupancy: exact"
         )
     if searched:
+        try:
+            POLICIES[scenario.policy.name]
+        except PolicyError as error:
+            raise ScenarioError(f"{source}: policy.name: {error}") from error
         _check_weights(scenario.perception, scenario.camera, source)
     _check_camera(scenario.camera, source)
     if scenario.gripper.execution == "contact":
