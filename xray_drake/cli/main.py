@@ -42,6 +42,7 @@ from xray_drake.cli.options import (
     overrides,
 )
 from xray_drake.cli.report import report
+from xray_drake.cli.study import app as study_app
 from xray_drake.cli.train import train
 from xray_drake.splits import SPLITS
 
@@ -343,6 +344,7 @@ app.command()(train)
 app.add_typer(dataset_app, name="dataset")
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(objects_app, name="objects")
+app.add_typer(study_app, name="study")
 
 if __name__ == "__main__":
     app()

@@ -1,4 +1,4 @@
-"""A bar for a job that takes seconds."""
+"""Bars for jobs that take seconds and more."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,11 +6,20 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import (
     BarColumn,
+    MofNCompleteColumn,
     Progress,
+    ProgressColumn,
+    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
+
+
+class _Rate(ProgressColumn):
+    def render(self, task: Task) -> Text:
+        return Text(f"{task.speed:.2f}/s" if task.speed else "")
 
 
 @contextmanager
@@ -37,3 +46,33 @@ def progress_bar(
     ) as bars:
         task = bars.add_task(job, total=1.0)
         yield lambda share: bars.update(task, completed=share)
+
+
+@contextmanager
+def counting_bar(
+    console: Console, job: str, *, transient: bool = True
+) -> Iterator[Callable[[int, int | None], None]]:
+    """Shows how many of a job's items are done, and how fast.
+
+    Args:
+        console: where; nothing is shown where it is no terminal.
+        job: what it says.
+        transient: the bar goes when the job is done.
+
+    Yields:
+        A function to be called with how many are done, and of how many.
+    """
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        console=console,
+        transient=transient,
+        disable=not console.is_terminal,
+        speed_estimate_period=300,
+    ) as bars:
+        task = bars.add_task(job, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)

@@ -13,8 +13,8 @@ from xray_drake.scene.object_model import ObjectModel
 class ContactConfig:
     """Material constants that the objects of a heap share.
 
-    ``tests/benchmarks/heap_settings.py`` compares settings by speed and
-    quality; the reasons for the defaults stand with the fields.
+    ``xray-drake study heap-settings`` compares settings by speed and quality;
+    the reasons for the defaults stand with the fields.
     """
 
     # Pa/m. How fast pressure rises with depth in an object, the same in all.

@@ -1,0 +1,1 @@
+"""Experiments behind the README's tables, each a :class:`.study.Study`."""
