@@ -120,8 +120,6 @@ def test_somebody_elses_repository_is_not_ours(
 def test_what_is_told(tmp_path: Path) -> None:
     weights = tmp_path / "net.safetensors"
     weights.write_bytes(b"1")
-    script = tmp_path / "measure.py"
-    script.write_text("1")
     found = current(weights=[weights, tmp_path / "gone"], dtype="float32")
     assert found.versions.keys() == {
         *("xray_drake", "drake", "torch", "lightning", "numpy")
@@ -138,8 +136,6 @@ def test_what_is_told(tmp_path: Path) -> None:
     assert current(weights=[tmp_path]).weights == found.weights
     weights.write_bytes(b"2")
     assert current(weights=[weights]).weights != found.weights
-    with_script = current(scripts=[script])
-    assert with_script.code != found.code
 
 
 HERE = current(dtype="float32")

@@ -37,7 +37,7 @@ UNKNOWN = "unknown"
 
 _PACKAGES = ("drake", "torch", "lightning", "numpy")
 
-_TREE = ("xray_drake", "models", "tests/benchmarks", "pyproject.toml")
+_TREE = ("xray_drake", "models", "pyproject.toml")
 """What decides results, of a checkout."""
 
 _NOT_CODE = {"networks", "pictures"}
@@ -150,24 +150,18 @@ class Run:
         }
 
 
-def current(
-    *,
-    weights: Iterable[Path] = (),
-    dtype: str = "",
-    scripts: Iterable[Path] = (),
-) -> Provenance:
+def current(*, weights: Iterable[Path] = (), dtype: str = "") -> Provenance:
     """Returns the provenance of what this process makes.
 
     Args:
         weights: files, or folders of them; what is not there is left out.
         dtype: in which networks compute.
-        scripts: files that decide results beside the package.
     """
     commit, dirty = _checkout()
     return Provenance(
         commit=commit,
         dirty=dirty,
-        code=_code(tuple(scripts)),
+        code=_code(),
         versions=versions(),
         weights=_weights(weights),
         dtype=dtype,
@@ -443,7 +437,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 @cache
-def _code(scripts: tuple[Path, ...]) -> str:
+def _code() -> str:
     package, models = Path(__file__).resolve().parent, models_dir()
     files = {
         f"xray_drake/{path.relative_to(package).as_posix()}": path
@@ -454,7 +448,6 @@ def _code(scripts: tuple[Path, ...]) -> str:
         inside = path.relative_to(models)
         if path.is_file() and inside.parts[0] not in _NOT_CODE:
             files[f"models/{inside.as_posix()}"] = path
-    files |= {path.name: path for path in scripts}
     digest = hashlib.sha256()
     for name in sorted(files):
         data = files[name].read_bytes()

@@ -3,9 +3,9 @@
 Single objects lie on the bin's floor in their three likeliest resting poses.
 Grasps of both kinds are drawn on each, some that the analysis says would hold
 and some that it rejects by their wrench, and all are executed by contact: what
-share of the former reaches the tote, and what share of the latter does not. With
-loads, only grasps that hold are taken, and each is executed with the object as
-heavy as these multiples of what the analysis says the contacts hold.
+share of the former reaches the tote, and what share of the latter does not.
+With loads, only grasps that hold are taken, and each is executed with the
+object as heavy as these multiples of what the analysis says the contacts hold.
 """
 
 import time
