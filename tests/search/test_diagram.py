@@ -17,6 +17,7 @@ from xray_drake.occupancy.geometric.flat import ExactInference
 from xray_drake.occupancy.geometric.resting import RestingInference
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.targets import target_model
+from xray_drake.search import boxes
 from xray_drake.search import diagram as module
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.station.scenario import (
@@ -113,13 +114,6 @@ def test_the_loop_is_wired_as_it_is_drawn(
     )
 
 
-def test_the_picture_shows_the_boxes(tiny_diagram: SearchDiagram) -> None:
-    picture = tiny_diagram.GetGraphvizString(max_depth=1)
-    assert picture.startswith("digraph")
-    for name in BOXES:
-        assert name in picture
-
-
 def test_it_remembers_what_it_was_built_from(
     tiny_diagram: SearchDiagram, tiny_heap: Heap
 ) -> None:
@@ -181,22 +175,6 @@ def test_what_the_boxes_see(
     assert np.hypot(columns - u, rows - v).max() < 40
 
 
-def test_two_diagrams_are_independent(
-    tiny_diagram: SearchDiagram, tiny_scenario: Scenario, tiny_heap: Heap
-) -> None:
-    other = build_search_diagram(tiny_scenario, heap=tiny_heap)
-    assert other.station.plant is not tiny_diagram.station.plant
-    depths = [
-        np.array(
-            diagram.GetOutputPort("overhead.depth_image")
-            .Eval(diagram.CreateDefaultContext())
-            .data
-        )
-        for diagram in (tiny_diagram, other)
-    ]
-    np.testing.assert_array_equal(*depths)
-
-
 def test_settings_of_the_scenario_arrive(
     tiny_scenario: Scenario, tiny_heap: Heap
 ) -> None:
@@ -237,23 +215,20 @@ def test_a_bad_scenario_is_found_out_before_the_drop(
         build_search_diagram(tiny_scenario)
 
 
-def test_a_tall_target_may_rest_on_any_face() -> None:
+@pytest.mark.parametrize(
+    ("target", "occupancy", "poses", "kind"),
+    [
+        ("cube", "exact", "resting", RestingInference),
+        ("cube", "exact", "flat", ExactInference),
+        ("box_2to1", "expected", "flat", ExpectedLabel),
+    ],
+)
+def test_the_inference_is_the_scenarios(
+    target: str, occupancy: str, poses: str, kind: type
+) -> None:
     scenario = Scenario()
-    scenario.scene.target = "cube"
-    scenario.perception.occupancy = "exact"
-    scenario.perception.exact.poses = "resting"
-    check_scenario(scenario)
-    inference = module._inference(scenario, target_model("cube"))
-    assert isinstance(inference, RestingInference)
-    scenario.perception.exact.poses = "flat"
-    flat = module._inference(scenario, target_model("cube"))
-    assert isinstance(flat, ExactInference)
-
-
-def test_the_label_is_guessed_without_a_network() -> None:
-    scenario = Scenario()
-    scenario.perception.occupancy = "expected"
+    scenario.perception.occupancy = occupancy
+    scenario.perception.exact.poses = poses
     scenario.perception.weights = "nowhere.safetensors"
     check_scenario(scenario)
-    inference = module._inference(scenario, target_model("box_2to1"))
-    assert isinstance(inference, ExpectedLabel)
+    assert isinstance(boxes._inference(scenario, target_model(target)), kind)

@@ -1,38 +1,18 @@
 """Builds the whole search as one Diagram."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from xray_drake.grasping.depth_planner import DepthGraspPlanner
 from xray_drake.grasping.planner import ModelGraspPlanner
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.inference import exact_model
-from xray_drake.occupancy.learned.inference import load_inference
-from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
-from xray_drake.policy.beyond.memory import MemoryConfig, TargetMemory
-from xray_drake.policy.beyond.memory_system import SearchMemory
-from xray_drake.policy.choice_system import ChoicePolicy
-from xray_drake.policy.ranking import largest
-from xray_drake.policy.registry import POLICIES, Policy
-from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
-from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
-from xray_drake.scene.object_model import ObjectModel
-from xray_drake.scene.targets import size_in_any_pose
+from xray_drake.search.boxes import SearchParts, add_decision, add_perception
 from xray_drake.search.execution import add_execution
-from xray_drake.search.grasped_body import GraspedBody
-from xray_drake.search.perception import add_perception
-from xray_drake.search.wiring import check_output, connect_inputs
+from xray_drake.search.wiring import Boxes, check_output
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.objects import make_heap
-from xray_drake.station.scenario import (
-    Scenario,
-    check_scenario,
-    weights_path,
-)
+from xray_drake.station.scenario import Scenario, check_scenario
 
 AGENT = "agent"
 """What the record calls the policy where an agent chooses."""
@@ -44,25 +24,6 @@ REPLACEABLE = {
     "search_policy": "action",
 }
 """The boxes that can be replaced, and the output that each must have."""
-
-
-@dataclass(frozen=True, eq=False)
-class SearchParts:
-    """What a system that takes a box's place may be built from.
-
-    Attributes:
-        scenario: of the search.
-        heap: what lies in the bin in the default context.
-        station: plant, scene graph and objects.
-        bodies: object name to its index in ``body_poses``.
-        planner: plans grasps from the objects' models.
-    """
-
-    scenario: Scenario
-    heap: Heap
-    station: StationParts
-    bodies: Mapping[str, int]
-    planner: ModelGraspPlanner
 
 
 Replacement = Callable[[SearchParts], System]
@@ -142,139 +103,31 @@ def build_search_diagram(
     builder = DiagramBuilder()
     station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
     builder.AddSystem(station)
-    camera, target = scenario.camera, heap.target
-    bodies = {
-        name: int(item.body.index()) for name, item in parts.objects.items()
-    }
     planner = ModelGraspPlanner(
         heap.models,
         parameters=scenario.gripper.parameters,
         config=scenario.gripper.planner,
         seed=scenario.seed,
     )
-    inside = SearchParts(scenario, heap, parts, bodies, planner)
+    inside = SearchParts(scenario, heap, parts, parts.labels, planner)
     replaced = {
         name: _replacement(name, build, inside)
         for name, build in replace.items()
     }
-    # Whoever else decides needs nothing beside what all policies see.
-    kind = POLICIES[scenario.policy.name]
-    if agent or "search_policy" in replaced:
-        kind = Policy(largest)
-
-    perception = add_perception(
-        builder,
-        scenario,
-        station,
-        parts.labels,
-        target.name,
-        detector=replaced.get("target_detector"),
-        segmenter=replaced.get("instance_segmenter"),
-    )
-    inference = _inference(scenario, target)
-    occupancy = builder.AddSystem(
-        replaced.get("occupancy_inference")
-        or OccupancyInference(
-            inference=inference, width=camera.width, height=camera.height
-        )
-    )
-    from_depth = scenario.gripper.grasps == "depth"
-    build_policy = ChoicePolicy if agent else SearchPolicy
-    policy = builder.AddSystem(
-        replaced.get("search_policy")
-        or build_policy(
-            ranking=kind.ranking,
-            planner=_depth_grasps(scenario) if from_depth else planner,
-            bodies=bodies,
-            target_first=scenario.policy.target_first,
-            min_visible_pixels=scenario.policy.min_visible_pixels,
-            min_grasp_quality=scenario.policy.min_grasp_quality,
-            foresight=Foresight(
-                inference,
-                size_in_any_pose(target),
-                camera.width,
-                camera.height,
-            )
-            if kind.outlook
-            else None,
-            truth=kind.truth,
-            seed=scenario.seed,
-        )
-    )
     execution = add_execution(
         builder, scenario, station, parts, heap, planner, meshcat=meshcat
     )
-    gripper = execution.controller
-    boxes = [*perception.boxes, occupancy, policy, *execution.boxes]
-
-    taken = {
-        port: station.GetOutputPort(f"{camera.name}.{port}")
+    truth = {
+        port: station.GetOutputPort(f"{scenario.camera.name}.{port}")
         for port in ("color_image", "depth_image", "label_image", "camera")
     }
-    taken["body_poses"] = station.GetOutputPort("cheat.body_poses")
-    system, port = perception.depth
-    seen = taken | {
-        "depth_image": system.GetOutputPort(port),
-        "target_mask": perception.detector.GetOutputPort("target_mask"),
-        "instances": perception.segmenter.GetOutputPort("instances"),
-    }
-    action = policy.GetOutputPort("action")
-    status = gripper.GetOutputPort("status")
-    known = dict(seen)
-    if kind.memory:
-        memory = builder.AddSystem(
-            SearchMemory(
-                memory=TargetMemory(
-                    size_in_any_pose(target),
-                    MemoryConfig(
-                        floor=scenario.perception.exact.floor,
-                        names_last=scenario.perception.segmenter != "depth",
-                    ),
-                ),
-                width=camera.width,
-                height=camera.height,
-            )
-        )
-        boxes.append(memory)
-        connect_inputs(
-            builder, memory, seen | {"action": action, "status": status}
-        )
-        known["depth_image"] = memory.GetOutputPort("depth_image")
-    connect_inputs(builder, occupancy, known)
-    known |= {
-        "seen_depth_image": seen["depth_image"],
-        "occupancy": occupancy.GetOutputPort("occupancy"),
-        "status": status,
-    }
-    if kind.truth:
-        truth = builder.AddSystem(
-            TrueTargetMask(target=target, body=bodies[target.name])
-        )
-        boxes.append(truth)
-        connect_inputs(builder, truth, taken)
-        known["true_target"] = truth.GetOutputPort("target_mask")
-    connect_inputs(
-        builder, policy, known, open_ports=("choice",) if agent else ()
-    )
-    if from_depth:
-        body = builder.AddSystem(
-            GraspedBody(
-                labels=parts.labels,
-                bodies=bodies,
-                parameters=scenario.gripper.parameters,
-                width=camera.width,
-                height=camera.height,
-            )
-        )
-        boxes.append(body)
-        connect_inputs(builder, body, taken | {"action": action})
-        action = body.GetOutputPort("action")
-    builder.Connect(action, gripper.GetInputPort("action"))
-    if agent:
-        builder.ExportInput(
-            policy.GetInputPort("choice"), "search_policy.choice"
-        )
-    for box in boxes:
+    boxes = Boxes(builder, replaced, truth)
+    add_perception(boxes, inside)
+    truth["body_poses"] = station.GetOutputPort("cheat.body_poses")
+    status = execution.controller.GetOutputPort("status")
+    action = add_decision(boxes, inside, truth, status, agent=agent)
+    builder.Connect(action, execution.controller.GetInputPort("action"))
+    for box in (*boxes.added, *execution.boxes):
         _export_outputs(builder, box, f"{box.get_name()}.")
     _export_outputs(builder, station, "")
 
@@ -312,36 +165,6 @@ def _replacement(name: str, build: Replacement, inside: SearchParts) -> System:
     system.set_name(name)
     check_output(system, REPLACEABLE[name])
     return system
-
-
-def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
-    perception = scenario.perception
-    if perception.occupancy == "exact":
-        return exact_model(target, perception.exact)
-    if perception.occupancy == "expected":
-        return ExpectedLabel(target, perception.exact)
-    return load_inference(
-        weights_path(perception),
-        target_size=target.extents,
-        output="posterior"
-        if perception.occupancy == "posterior"
-        else "occupancy",
-        dtype=perception.dtype,
-        floor=perception.exact.floor,
-    )
-
-
-def _depth_grasps(scenario: Scenario) -> DepthGrasps:
-    gripper, camera = scenario.gripper, scenario.camera
-    return DepthGrasps(
-        DepthGraspPlanner(
-            parameters=gripper.parameters,
-            config=gripper.depth_planner,
-            seed=scenario.seed,
-        ),
-        camera.width,
-        camera.height,
-    )
 
 
 def _export_outputs(
