@@ -1,6 +1,5 @@
 """The scenario: one YAML file says all that a search depends on."""
 
-import copyreg
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -73,7 +72,11 @@ from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import HeapConfig
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.splits import SPLITS
-from xray_drake.station.drake_rules import DRAKE_RULES
+from xray_drake.station.drake_rules import (
+    CONTACT_APPROXIMATIONS,
+    CONTACT_MODELS,
+    DRAKE_RULES,
+)
 
 MOST_OBJECTS = 100
 """Distractors that a scenario may ask for."""
@@ -81,8 +84,8 @@ MOST_OBJECTS = 100
 _OBJECTS = f"[1, {MOST_OBJECTS}]"
 
 
-class ScenarioError(ValueError):
-    """A scenario that cannot be used; the message is one line."""
+ScenarioError = ConfigurationError
+"""A scenario that cannot be used; the message is one line."""
 
 
 @dataclass(slots=True)
@@ -273,27 +276,13 @@ class Scenario:
             return NotImplemented
         return tree_of(self) == tree_of(other)
 
-
-def _restored(schema: type, text: str) -> Any:
-    return yaml_load_typed(schema=schema, data=text)
-
-
-def _reduced(config: Any) -> tuple[Any, tuple[type, str]]:
-    return _restored, (type(config), yaml_dump(tree_of(config)))
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        """Pickles it as YAML: Drake's structs cannot be pickled."""
+        return _from_yaml, (yaml_dump(tree_of(self)),)
 
 
-for _struct in (
-    CameraConfig,
-    CameraConfig.FocalLength,
-    CameraConfig.FovDegrees,
-    MultibodyPlantConfig,
-    Rotation,
-    SimulatorConfig,
-    Transform,
-    VisualizationConfig,
-):
-    # Drake's structs cannot be pickled; a scenario goes to other processes.
-    copyreg.pickle(_struct, _reduced)
+def _from_yaml(text: str) -> Scenario:
+    return yaml_load_typed(schema=Scenario, data=text)
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -323,10 +312,8 @@ def load_scenario(
                 f"no scenario {str(name_or_path)!r}: choose one of "
                 f"{', '.join(scenario_names())}, or give a YAML file"
             )
-    with _scenario_errors():
-        text = read_text(path)
     return parse_scenario(
-        text, str(path), searched=searched, folder=path.parent
+        read_text(path), str(path), searched=searched, folder=path.parent
     )
 
 
@@ -349,16 +336,10 @@ def parse_scenario(
     Raises:
         ScenarioError: as :func:`load_scenario`.
     """
-    with _scenario_errors():
-        tree = read_tree(text, source)
-        check_tree(tree, Scenario, source, DRAKE_RULES)
-    try:
-        scenario = yaml_load_typed(
-            schema=Scenario, data=yaml_dump(tree), defaults=Scenario()
-        )
-    except Exception as error:
-        message = " ".join(str(error).split())
-        raise ScenarioError(f"{source}: {message}") from error
+    tree = read_tree(text, source)
+    check_tree(tree, Scenario, source, DRAKE_RULES)
+    with _one_line(f"{source}: ", Exception):
+        scenario = _from_yaml(yaml_dump(tree))
     if folder is not None:
         scenario = with_paths(scenario, folder)
     check_scenario(scenario, source, searched=searched)
@@ -380,11 +361,13 @@ def record_scenario(scenario: Scenario) -> str:
 
 
 @contextmanager
-def _scenario_errors() -> Iterator[None]:
+def _one_line(prefix: str, *kinds: type[BaseException]) -> Iterator[None]:
+    """Turns other errors into a ScenarioError that says where."""
     try:
         yield
-    except ConfigurationError as error:
-        raise ScenarioError(str(error)) from error
+    except kinds as error:
+        message = " ".join(str(error).split())
+        raise ScenarioError(f"{prefix}{message}") from error
 
 
 def check_scenario(
@@ -402,54 +385,54 @@ def check_scenario(
     Raises:
         ScenarioError: a choice that does not exist or a number out of range.
     """
-    with _scenario_errors():
-        check(scenario, source, DRAKE_RULES)
+    check(scenario, source, DRAKE_RULES)
     _check_unused(scenario, source)
+    perception, exact = scenario.perception, scenario.perception.exact
     for low, high in _IN_ORDER:
         least, most = (attrgetter(path)(scenario) for path in (low, high))
         if least > most:
             raise ScenarioError(
                 f"{source}: {low} is {least}: it must be at most {most}, {high}"
             )
-    if scenario.perception.occupancy == "expected":
-        try:
-            check_expected(scenario.perception.exact)
-        except ValueError as error:
-            raise ScenarioError(f"{source}: perception.{error}") from error
-    if scenario.scene.packaged_share > 0 and not scenario.scene.packaged:
-        raise ScenarioError(
-            f"{source}: scene.packaged_share needs scene.packaged: true"
-        )
-    if (
-        scenario.perception.segmenter == "depth"
-        and scenario.gripper.grasps == "models"
+    if perception.occupancy == "expected":
+        with _one_line(f"{source}: perception.", ValueError):
+            check_expected(exact)
+    for wrong, said in (
+        (
+            scenario.scene.packaged_share > 0 and not scenario.scene.packaged,
+            "scene.packaged_share needs scene.packaged: true",
+        ),
+        (
+            perception.segmenter == "depth"
+            and scenario.gripper.grasps == "models",
+            "perception.segmenter is depth, but gripper.grasps is models: of "
+            "what is found in depth no model is known; choose gripper.grasps: "
+            "depth",
+        ),
+        (
+            perception.occupancy == "expected" and exact.poses != "flat",
+            f"perception.exact.poses is {exact.poses}, but "
+            "perception.occupancy: expected takes the target to lie flat; "
+            "choose poses: flat, or occupancy: exact",
+        ),
+        (not scenario.camera.name, "camera.name is empty"),
     ):
-        raise ScenarioError(
-            f"{source}: perception.segmenter is depth, but gripper.grasps is "
-            "models: of what is found in depth no model is known; choose "
-            "gripper.grasps: depth"
-        )
-    if (
-        scenario.perception.occupancy == "expected"
-        and scenario.perception.exact.poses != "flat"
-    ):
-        raise ScenarioError(
-            f"{source}: perception.exact.poses is "
-            f"{scenario.perception.exact.poses}, but perception.occupancy: "
-            "expected takes the target to lie flat; choose poses: flat, or "
-            "occupancy: exact"
-        )
+        if wrong:
+            raise ScenarioError(f"{source}: {said}")
     if searched:
-        try:
+        with _one_line(f"{source}: policy.name: ", PolicyError):
             POLICIES[scenario.policy.name]
-        except PolicyError as error:
-            raise ScenarioError(f"{source}: policy.name: {error}") from error
-        _check_weights(scenario.perception, scenario.camera, source)
-    _check_camera(scenario.camera, source)
+        _check_weights(perception, scenario.camera, source)
+    with _one_line(f"{source}: camera: ", *BREAKDOWNS, ValueError):
+        check_renderer(scenario.camera)
+        check_view(scenario.camera)
     if scenario.gripper.execution == "contact":
         # First: Drake's own message does not say what to choose.
         _check_contact(scenario, source)
-    _check_plant(scenario.plant_config, source)
+    with _one_line(f"{source}: plant_config: ", *BREAKDOWNS):
+        AddMultibodyPlant(
+            config=scenario.plant_config, builder=DiagramBuilder()
+        )
 
 
 _IN_ORDER = (
@@ -510,36 +493,15 @@ def _check_weights(
             "size, or perception.occupancy: exact"
         )
     path = weights_path(perception)
-    try:
-        if not path.is_dir():
+    if not path.is_dir():
+        with _one_line(f"{source}: perception.weights: ", WeightsError):
             read_card(path)
-    except WeightsError as error:
-        raise ScenarioError(f"{source}: perception.weights: {error}") from error
 
 
 def weights_path(perception: PerceptionConfig) -> Path:
     """Returns where the network's weights are."""
     given = perception.weights
     return Path(given) if given else default_weights()
-
-
-def _check_camera(config: CameraConfig, source: str) -> None:
-    if not config.name:
-        raise ScenarioError(f"{source}: camera.name is empty")
-    try:
-        check_renderer(config)
-        check_view(config)
-    except (*BREAKDOWNS, ValueError) as error:
-        message = " ".join(str(error).split())
-        raise ScenarioError(f"{source}: camera: {message}") from error
-
-
-def _check_plant(config: MultibodyPlantConfig, source: str) -> None:
-    try:
-        AddMultibodyPlant(config=config, builder=DiagramBuilder())
-    except BREAKDOWNS as error:
-        message = " ".join(str(error).split())
-        raise ScenarioError(f"{source}: plant_config: {message}") from error
 
 
 def _check_contact(scenario: Scenario, source: str) -> None:
@@ -554,19 +516,11 @@ def _check_contact(scenario: Scenario, source: str) -> None:
                 f"{source}: gripper.execution is contact, but {path} is "
                 f"{given}: the gripper in the plant has {built}"
             )
-    config = scenario.plant_config
-    for key, value, wanted in (
-        (
-            "contact_model",
-            config.contact_model,
-            ("hydroelastic", "hydroelastic_with_fallback"),
-        ),
-        (
-            "discrete_contact_approximation",
-            config.discrete_contact_approximation,
-            ("lagged", "similar", "sap"),
-        ),
+    for key, wanted in (
+        ("contact_model", CONTACT_MODELS[1:]),
+        ("discrete_contact_approximation", CONTACT_APPROXIMATIONS[1:]),
     ):
+        value = getattr(scenario.plant_config, key)
         if value not in wanted:
             raise ScenarioError(
                 f"{source}: gripper.execution is contact, but plant_config."
