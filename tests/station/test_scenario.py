@@ -209,7 +209,8 @@ gripper: {carrier: crane} | gripper.carrier | wrist, arm
 {gripper: {execution: contact}, plant_config: {contact_model: point}}
     | execution is contact | contact_model is 'point'
 {gripper: {execution: contact},
-    plant_config: {discrete_contact_approximation: tamsi}} | execution is contact | discrete_contact_approximation:
+    plant_config: {discrete_contact_approximation: tamsi}}
+    | execution is contact | discrete_contact_approximation
 plant_config: {contact_model: soft} | contact_model | 'soft'
 perception: {dtype: float16} | perception.dtype | 'float16' | float32, bfloat16
 scene: {num_objects: 0} | scene.num_objects is 0: it must be from 1
