@@ -292,16 +292,16 @@ def test_a_figure_of_the_worst(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from xray_drake.drawing import predictions
+    from xray_drake.inspector import figures
 
     drawn: list[Any] = []
-    original = predictions.prediction_figure
+    original = figures.prediction_figure
 
     def remember(examples: Any) -> Any:
         drawn.extend(examples)
         return original(examples)
 
-    monkeypatch.setattr(predictions, "prediction_figure", remember)
+    monkeypatch.setattr(figures, "prediction_figure", remember)
     out = tmp_path / "worst.png"
     result = _run(
         *(folder, "--weights", "weak", "--weights", "modal", "--no-exact"),

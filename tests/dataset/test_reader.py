@@ -251,7 +251,7 @@ def test_a_process_without_drake_reads_the_same(
         "import pickle, sys\n"
         "sys.modules['pydrake'] = None\n"
         "from xray_drake.dataset.check import check_dataset\n"
-        "from xray_drake.drawing.sample_figure import sample_figure\n"
+        "from xray_drake.inspector.figures import sample_figure\n"
         "from xray_drake.inspector.dataset import sample_layers\n"
         "items = pickle.load(open(sys.argv[1], 'rb'))\n"
         "sample_figure([items.sample(0)])\n"

@@ -4,7 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from xray_drake.drawing.colors import heat, overlay
+from xray_drake.drawing.colors import (
+    depth_picture,
+    heat,
+    instance_colors,
+    instance_picture,
+    overlay,
+)
 
 
 @pytest.mark.parametrize("shape", [(), (0,), (3,), (2, 5), (2, 3, 4)])
@@ -55,3 +61,27 @@ def test_the_overlay_is_seen_by_default() -> None:
     image = np.full((1, 2, 3), 128, np.uint8)
     result = overlay(image, np.array([[0.0, 1.0]])).astype(int)
     assert np.abs(result[0, 1] - 128).max() > 50
+
+
+def test_near_is_bright_and_nothing_is_pink() -> None:
+    picture = depth_picture(np.array([[0.7, 0.8, 0.0]]))
+    assert picture.dtype == np.uint8
+    near, far, none = picture[0].astype(int)
+    assert near[0] > far[0]
+    assert np.ptp(near) == np.ptp(far) == 0
+    assert np.ptp(none) > 0
+
+
+def test_only_the_target_is_red() -> None:
+    colors = instance_colors(20).astype(int)
+    assert len(np.unique(colors, axis=0)) == 20
+    red, green, blue = colors[1]
+    assert red > 150
+    assert max(green, blue) < 50
+    for red, green, blue in np.delete(colors, 1, axis=0):
+        assert red - max(green, blue) < 100
+    assert instance_colors(1).shape == (1, 3)
+    instances = np.array([[0, 1], [5, 2]], np.uint8)
+    np.testing.assert_array_equal(
+        instance_picture(instances), instance_colors(6)[instances]
+    )

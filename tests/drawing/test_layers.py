@@ -6,12 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from xray_drake.drawing.colors import heat
-from xray_drake.drawing.layers import (
-    heat_layer,
-    mask_layer,
-    mask_outline,
-    surface_depth,
-)
+from xray_drake.drawing.layers import color_layer, mask_outline, surface_depth
 from xray_drake.geometry.camera import PinholeCamera
 
 
@@ -108,14 +103,15 @@ def test_surface_depth_ignores_readings_below_the_floor() -> None:
     share=st.sampled_from([0.0, 0.5, 0.9, 1.0]),
     camera=st.sampled_from(CAMERAS),
 )
-def test_heat_layer_has_two_triangles_on_each_tile_above_zero(
+def test_a_layer_has_two_triangles_on_each_tile_with_colors(
     seed: int, step: int, share: float, camera: PinholeCamera
 ) -> None:
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.5, 0.8, camera.shape)
     values = rng.uniform(0.1, 1.0, camera.shape)
     values[rng.uniform(size=camera.shape) > share] = 0.0
-    vertices, faces, colors = heat_layer(values, depth, camera, step=step)
+    picture = np.where(values[..., None] > 0, heat(values), np.nan)
+    vertices, faces, colors = color_layer(picture, depth, camera, step=step)
 
     # Every vertex is a pixel's point on the surface, in its value's colour.
     projected = camera.project(vertices.T)
@@ -166,26 +162,11 @@ def test_heat_layer_has_two_triangles_on_each_tile_above_zero(
         np.testing.assert_allclose(middles, (tiles + 0.5) * step, atol=1e-6)
 
 
-def test_a_blank_distribution_has_no_geometry() -> None:
+def test_a_blank_picture_has_no_geometry() -> None:
     camera = CAMERAS[0]
-    vertices, faces, colors = heat_layer(
-        np.zeros(camera.shape), np.full(camera.shape, 0.7), camera
-    )
-    assert vertices.shape == colors.shape == (3, 0)
-    assert faces.shape == (3, 0)
-
-
-def test_heat_layer_shows_the_whole_of_a_small_support() -> None:
-    camera = PinholeCamera(64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
-    values = np.zeros(camera.shape)
-    values[11:20, 21:38] = 1.0
-    vertices, _, _ = heat_layer(values, np.ones(camera.shape), camera)
-    u, v, _ = camera.project(vertices.T).T
-    # Within one tile of two pixels of the support's edge.
-    assert u.min() <= 23
-    assert u.max() >= 35
-    assert v.min() <= 13
-    assert v.max() >= 17
+    picture = np.full((*camera.shape, 3), np.nan)
+    for layer in color_layer(picture, np.full(camera.shape, 0.7), camera):
+        assert layer.shape == (3, 0)
 
 
 def blobs(seed: int, shape: tuple[int, int]) -> np.ndarray:
@@ -273,10 +254,10 @@ def test_masks_lie_on_their_own_objects() -> None:
     labels[4:12, 12:20] = 1
     labels[14:18, 4:12] = 2
     depth = np.where(labels == 1, 0.7, 0.8)
-    colors = np.array([[1.0, 0, 0], [0, 1.0, 0], [np.nan] * 3])
+    colors = np.array([[1.0, 0, 0], [0, 1.0, 0], [np.nan] * 3, [np.nan] * 3])
     surface = surface_depth(depth, camera, reach=0, gap=0.0015)
-    vertices, faces, painted = mask_layer(
-        labels, colors, surface, camera, step=1
+    vertices, faces, painted = color_layer(
+        colors[labels], surface, camera, step=1, labels=labels
     )
     u, v, z = camera.project(vertices.T).T
     # Each vertex has the colour and the depth of its own pixel.
@@ -287,13 +268,3 @@ def test_masks_lie_on_their_own_objects() -> None:
     # No triangle reaches from one mask to the other.
     assert (at[faces] == at[faces[0]]).all()
     assert faces.shape[1] == 2 * 2 * 7 * 7
-
-
-def test_no_masks_no_triangles() -> None:
-    camera = camera_over_bin()
-    blank = np.full(camera.shape, -1)
-    for colors in (np.zeros((0, 3)), np.ones((2, 3))):
-        vertices, faces, painted = mask_layer(
-            blank, colors, np.full(camera.shape, 0.8), camera
-        )
-        assert vertices.shape == faces.shape == painted.shape == (3, 0)

@@ -2,13 +2,13 @@ import socket
 
 import numpy as np
 import pytest
-import umsgpack
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from scipy.spatial.transform import Rotation
 
+from tests.meshcat_probe import pose, prop, shown, vertices
 from xray_drake.drawing.colors import heat
-from xray_drake.drawing.layers import heat_layer, surface_depth
+from xray_drake.drawing.layers import color_layer, surface_depth
 from xray_drake.drawing.meshcat_layers import (
     draw_grasp,
     draw_masks,
@@ -22,9 +22,6 @@ from xray_drake.drawing.meshcat_layers import (
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import Grasp, GraspKind
 
-FLOAT32 = 0x17
-"""MessagePack extension of a Float32Array."""
-
 
 @pytest.fixture(scope="module")
 def meshcat() -> Meshcat:
@@ -37,29 +34,6 @@ def camera() -> PinholeCamera:
     X_WC[2, 3] = 0.8
     K = np.array([[50.0, 0, 15.5], [0, 50.0, 11.5], [0, 0, 1]])
     return PinholeCamera(32, 24, K, X_WC)
-
-
-def shown(meshcat: Meshcat, path: str) -> dict:
-    """Returns what was sent to the browser for a path."""
-    return umsgpack.unpackb(meshcat._GetPackedObject(path))["object"]
-
-
-def vertices(meshcat: Meshcat, path: str) -> np.ndarray:
-    """Returns the (n, 3) points of the geometry at a path."""
-    (geometry,) = shown(meshcat, path)["geometries"]
-    array = geometry["data"]["attributes"]["position"]["array"]
-    assert array.type == FLOAT32
-    return np.frombuffer(array.data, np.float32).reshape(-1, 3)
-
-
-def pose(meshcat: Meshcat, path: str) -> np.ndarray:
-    """Returns the 4×4 pose of a path in its parent."""
-    packed = umsgpack.unpackb(meshcat._GetPackedTransform(path))
-    return np.array(packed["matrix"]).reshape(4, 4).T
-
-
-def prop(meshcat: Meshcat, path: str, name: str) -> object:
-    return umsgpack.unpackb(meshcat._GetPackedProperty(path, name))["value"]
 
 
 def test_meshcat_answers_to_this_machine_alone() -> None:
@@ -98,7 +72,9 @@ def test_occupancy_lies_on_the_heap(
     values = np.zeros(camera.shape)
     values[4:16, 10:24] = 0.5
     draw_occupancy(meshcat, "/t/occupancy", values, depth, camera, opacity=0.3)
-    expected, _, _ = heat_layer(values, surface_depth(depth, camera), camera)
+    picture = np.where(values[..., None] > 0, heat(values), np.nan)
+    surface = surface_depth(depth, camera)
+    expected, _, _ = color_layer(picture, surface, camera)
     drawn = vertices(meshcat, "/t/occupancy")
     np.testing.assert_allclose(
         sorted(map(tuple, drawn)), sorted(map(tuple, expected.T)), atol=1e-6

@@ -1,7 +1,9 @@
 """A search of the tiny heap, replayed once for all tests of the inspector."""
 
 import pytest
+from pydrake.geometry import Meshcat
 
+from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.inspector.replay import Replay, first_decision, replay_search
 from xray_drake.scene.heap import Heap
 from xray_drake.station.scenario import Scenario
@@ -25,3 +27,8 @@ def replay(tiny_heap: Heap) -> Replay:
 def looked_at(tiny_heap: Heap) -> Replay:
     """The tiny heap and the first decision on it."""
     return first_decision(short(), tiny_heap)
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return start_meshcat()

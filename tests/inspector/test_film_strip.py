@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from xray_drake.inspector.film_strip import FilmStrip
-from xray_drake.inspector.pictures import write_picture
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.record import SearchRecord
@@ -24,19 +23,24 @@ def test_a_frame_for_each_action(
     filmed: tuple[FilmStrip, SearchRecord],
 ) -> None:
     film, record = filmed
-    assert len(film.frames) == record.num_actions > 1
-    for frame, action in zip(film.frames, record.actions, strict=True):
-        assert frame.title.startswith(f"{action.step}: ")
-        assert action.grasp.kind.value in frame.title
-        assert f"support {action.support_before} px" in frame.note
-        assert frame.note.endswith(action.outcome.value)
-        assert np.count_nonzero(frame.occupancy) == action.support_before
-        assert frame.chosen.any()
-    first, last = film.frames[0], film.frames[-1]
-    assert record.actions[0].object in first.title
-    assert "the target" in last.title
-    # The heap has changed in between.
-    assert (first.color != last.color).any(axis=2).mean() > 0.01
+    panels = film.figure().axes[: record.num_actions]
+    assert len(film.snapshots) == record.num_actions > 1
+    pictures = []
+    for panel, action in zip(panels, record.actions, strict=True):
+        title, note = panel.get_title(loc="left").split("\n")
+        assert title.startswith(f"{action.step}: ")
+        assert title.endswith(f" by {action.grasp.kind.value}")
+        found = "the target" if action.is_target else action.object
+        assert found in title
+        support = f"support {action.support_before} px"
+        assert note == f"{support}, {action.outcome.value}"
+        assert len(panel.collections) == 1, "what is chosen is outlined"
+        pictures.append(np.asarray(panel.images[0].get_array()))
+    assert record.actions[-1].is_target
+    # Cropped to the heap, which has changed in between.
+    assert pictures[0].shape[0] < film.snapshots[0].color.shape[0]
+    changed = (film.snapshots[0].color != film.snapshots[-1].color).any(axis=2)
+    assert changed.mean() > 0.01
 
 
 def test_it_is_written(
@@ -50,8 +54,3 @@ def test_it_is_written(
 def test_nothing_decided_is_no_film(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least one frame"):
         FilmStrip().write(tmp_path / "film.png")
-
-
-def test_a_picture_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="'hep': heap, diagram"):
-        write_picture("hep", tmp_path)

@@ -2,11 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import umsgpack
 from pydrake.geometry import Meshcat
 
+from tests.meshcat_probe import prop
 from xray_drake.drawing.colors import heat
-from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.inspector.layers import (
     LAYERS,
     SnapshotLayers,
@@ -25,15 +24,6 @@ from xray_drake.messages import (
 
 NAMES = [layer.name for layer in LAYERS]
 SHOWN = {layer.name for layer in LAYERS if layer.opacity > 0}
-
-
-@pytest.fixture(scope="module")
-def meshcat() -> Meshcat:
-    return start_meshcat()
-
-
-def prop(meshcat: Meshcat, path: str, name: str) -> object:
-    return umsgpack.unpackb(meshcat._GetPackedProperty(path, name))["value"]
 
 
 def drawn(meshcat: Meshcat, step: int) -> set[str]:
@@ -82,11 +72,7 @@ def test_layers_are_drawn_when_they_are_first_seen(
         layers.set_opacity("mask", 1.0)
 
 
-def test_going_back_draws_nothing(
-    meshcat: Meshcat, replay: Replay, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from xray_drake.inspector import layers as module
-
+def test_going_back_draws_nothing(meshcat: Meshcat, replay: Replay) -> None:
     calls: list[tuple[str, int]] = []
     counted = tuple(
         replace(
@@ -98,8 +84,7 @@ def test_going_back_draws_nothing(
         )
         for layer in LAYERS
     )
-    monkeypatch.setattr(module, "LAYERS", counted)
-    layers = SnapshotLayers(meshcat, replay.snapshots)
+    layers = SnapshotLayers(meshcat, replay.snapshots, counted)
     for step in (1, 2, 1, 2):
         layers.show(step)
     layers.set_opacity("occupancy", 0.25)

@@ -4,7 +4,7 @@ import pytest
 import umsgpack
 from pydrake.geometry import Meshcat
 
-from xray_drake.drawing.meshcat_layers import start_meshcat
+from tests.meshcat_probe import click, prop
 from xray_drake.inspector import page as module
 from xray_drake.inspector.layers import LAYERS
 from xray_drake.inspector.page import (
@@ -27,11 +27,6 @@ DROP = "drop box_2to1, 4 objects, seed 7"
 
 
 @pytest.fixture
-def meshcat() -> Meshcat:
-    return start_meshcat()
-
-
-@pytest.fixture
 def told() -> list[str]:
     return []
 
@@ -48,20 +43,10 @@ def heap(meshcat: Meshcat, looked_at: Replay, told: list[str]) -> InspectorPage:
     return InspectorPage(view, opacity=0.5, announce=told.append)
 
 
-def click(meshcat: Meshcat, name: str) -> None:
-    """Does what a browser does when a button is clicked."""
-    message = umsgpack.packb({"type": "button", "name": name})
-    meshcat._InjectWebsocketMessage(message=message)
-
-
 def move(meshcat: Meshcat, name: str, value: float) -> None:
     """Does what a browser does when a slider is moved."""
     message = {"type": "slider", "name": name, "value": value}
     meshcat._InjectWebsocketMessage(message=umsgpack.packb(message))
-
-
-def prop(meshcat: Meshcat, path: str, name: str) -> object:
-    return umsgpack.unpackb(meshcat._GetPackedProperty(path, name))["value"]
 
 
 def test_steps(
@@ -206,6 +191,6 @@ def test_ctrl_c_takes_the_controls_away(
     def interrupt(seconds: float) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module.clock, "sleep", interrupt)
+    monkeypatch.setattr("time.sleep", interrupt)
     heap.loop()
     assert meshcat.GetButtonNames() == meshcat.GetSliderNames() == []

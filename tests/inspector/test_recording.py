@@ -1,15 +1,21 @@
-import base64
-import re
 from pathlib import Path
 
+import numpy as np
 import pytest
-import umsgpack
+from pydrake.geometry import Meshcat
 
+from tests.meshcat_probe import messages, prop, tracks, vertices
 from xray_drake.drawing.meshcat_layers import start_meshcat
-from xray_drake.inspector.recording import record_search, write_html
+from xray_drake.inspector.layers import SEARCH_LAYERS
+from xray_drake.inspector.recording import (
+    SearchDrawing,
+    record_search,
+    write_html,
+)
+from xray_drake.messages import Grasp, GraspKind, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
-from xray_drake.search.record import SearchRecord
+from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.search.rollout import run_search
 from xray_drake.station.scenario import Scenario
 
@@ -30,29 +36,6 @@ def recording(tiny_heap: Heap) -> tuple[SearchRecord, str]:
     return record, meshcat.StaticHtml()
 
 
-def messages(page: str) -> list[dict]:
-    """Returns what the page tells its viewer, but for binary assets."""
-    packed = re.findall(r"octet-binary;base64,([A-Za-z0-9+/=]+)", page)
-    return [umsgpack.unpackb(base64.b64decode(text)) for text in packed]
-
-
-def tracks(page: str) -> dict[tuple[str, str], list[dict]]:
-    """Returns the keys of the animation by path and property; times in s."""
-    (animation,) = [
-        message
-        for message in messages(page)
-        if message.get("type") == "set_animation"
-    ]
-    return {
-        (item["path"], track["name"]): [
-            key | {"time": key["time"] / item["clip"]["fps"]}
-            for key in track["keys"]
-        ]
-        for item in animation["animations"]
-        for track in item["clip"]["tracks"]
-    }
-
-
 def test_the_page_shows_each_decision_in_its_time(
     recording: tuple[SearchRecord, str],
 ) -> None:
@@ -60,24 +43,26 @@ def test_the_page_shows_each_decision_in_its_time(
     assert record.num_actions == HORIZON
     drawn = {m.get("path") for m in messages(page)}
     animated = tracks(page)
-    ends = []
+    ends = [0.0]
     for step in range(1, HORIZON + 1):
-        path = f"/search/step_{step:02d}"
-        for layer in ("occupancy", "outline"):
-            assert f"{path}/{layer}" in drawn
-        keys = animated[path, ".visible"]
-        shown = [key["time"] for key in keys if key["value"]]
-        hidden = [key["time"] for key in keys if not key["value"]]
-        # Once it appears, it goes when the gripper has arrived, and before
-        # that it is not there.
-        assert len(shown) == 1
-        arrival = shown[0] + scenario().gripper.quasi_static.approach_time
-        gone = min(time for time in hidden if time > shown[0])
-        assert gone == pytest.approx(arrival, abs=0.05)
-        if step > 1:
-            assert min(hidden) == 0
-            assert shown[0] >= ends[-1]
+        for layer in SEARCH_LAYERS:
+            path = f"/inspect/{layer.name}/step_{step:02d}"
+            assert {path, f"{path}/outline"} & drawn
+            keys = animated[path, ".visible"]
+            shown = [time for time, value in keys if value]
+            hidden = [time for time, value in keys if not value]
+            # Once it appears, it goes when the gripper has arrived, and before
+            # that it is not there.
+            assert len(shown) == 1
+            arrival = shown[0] + scenario().gripper.quasi_static.approach_time
+            gone = min(time for time in hidden if time > shown[0])
+            assert gone == pytest.approx(arrival, abs=0.05)
+            if step > 1:
+                assert min(hidden) == 0
+                assert shown[0] >= ends[step - 1]
         ends.append(max(hidden))
+    # What only truth knows is not shown.
+    assert not any(path and "silhouette/" in path for path in drawn)
 
 
 def test_the_page_plays_the_motion(
@@ -88,8 +73,7 @@ def test_the_page_plays_the_motion(
     moved = {
         path
         for (path, name), keys in animated.items()
-        if name == ".position"
-        and len({tuple(key["value"]) for key in keys}) > 5
+        if name == ".position" and len({tuple(value) for _, value in keys}) > 5
     }
     assert any("drawn" in path for path in moved)
     assert any(record.actions[0].object in path for path in moved)
@@ -126,7 +110,9 @@ def test_a_search_that_fails_leaves_what_was_recorded(tiny_heap: Heap) -> None:
     diagram = build_search_diagram(scenario(), heap=tiny_heap, meshcat=meshcat)
     with pytest.raises(RuntimeError, match="by the test"):
         record_search(diagram, observers=(Failing(),))
-    assert ("/search/step_01", ".visible") in tracks(meshcat.StaticHtml())
+    assert ("/inspect/grasp/step_01", ".visible") in tracks(
+        meshcat.StaticHtml()
+    )
 
 
 def test_a_diagram_without_meshcat_cannot_be_recorded(
@@ -143,3 +129,42 @@ def test_the_page_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="folder"):
         write_html(meshcat, tmp_path / "no folder" / "page.html")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+def action_on(name: str, number: int) -> SearchAction:
+    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
+    return SearchAction(number, Grasp(GraspKind.JAW, name, X_WG, width=0.02))
+
+
+def test_a_decision_is_shown_live_until_its_action_ends(
+    meshcat: Meshcat, tiny_diagram: SearchDiagram
+) -> None:
+    context = tiny_diagram.CreateDefaultContext()
+    drawing = SearchDrawing(meshcat)
+
+    def visible(step: int) -> list[bool]:
+        return [
+            prop(meshcat, f"/inspect/{layer.name}/step_{step:02d}", "visible")
+            for layer in SEARCH_LAYERS
+        ]
+
+    for number, name in enumerate(("book", "book", "plank"), 1):
+        drawing.decided(tiny_diagram, context, action_on(name, number))
+        assert all(visible(number))
+        assert number == 1 or not any(visible(number - 1))
+    drawing.ended(
+        tiny_diagram, context, ActionRecord(3, "plank", False, Grasp())
+    )
+    assert not any(visible(3))
+    # The outline is that of the object chosen.
+    first, second, third = (
+        vertices(meshcat, f"/inspect/grasp/step_{k:02d}/outline").tolist()
+        for k in (1, 2, 3)
+    )
+    assert first == second != third
+    # Without a grasp there is still the distribution; the next search begins
+    # without the layers of the one before.
+    SearchDrawing(meshcat).decided(tiny_diagram, context, SearchAction(1))
+    assert meshcat.HasPath("/inspect/occupancy/step_01")
+    assert not meshcat.HasPath("/inspect/grasp/step_01/outline")
+    assert not meshcat.HasPath("/inspect/occupancy/step_02")

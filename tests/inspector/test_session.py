@@ -1,17 +1,11 @@
 import numpy as np
 import pytest
-import umsgpack
 from pydrake.geometry import Meshcat
 
-from xray_drake.drawing.meshcat_layers import start_meshcat
+from tests.meshcat_probe import click
 from xray_drake.inspector.session import BUTTONS, InteractiveSearch
 from xray_drake.messages import Outcome
 from xray_drake.station.scenario import Scenario
-
-
-@pytest.fixture
-def meshcat() -> Meshcat:
-    return start_meshcat()
 
 
 @pytest.fixture
@@ -22,12 +16,6 @@ def scenario() -> Scenario:
     scenario.policy.name = "largest"
     scenario.policy.target_first = False
     return scenario
-
-
-def click(meshcat: Meshcat, name: str) -> None:
-    """Does what a browser does when a button is clicked."""
-    message = umsgpack.packb({"type": "button", "name": name})
-    meshcat._InjectWebsocketMessage(message=message)
 
 
 def until_idle(session: InteractiveSearch) -> int:
@@ -68,7 +56,7 @@ def test_buttons_drive_the_search(meshcat: Meshcat, scenario: Scenario) -> None:
     assert until_idle(session) > 0
     assert told == [("decided", 1)]
     assert [a.outcome for a in first.actions] == [Outcome.NONE]
-    assert meshcat.HasPath("/search/step_01/occupancy")
+    assert meshcat.HasPath("/inspect/occupancy/step_01")
     assert not session.poll()
 
     # The next step executes it and decides again.
@@ -95,7 +83,7 @@ def test_buttons_drive_the_search(meshcat: Meshcat, scenario: Scenario) -> None:
     assert second is not first
     assert (second.seed, second.actions, second.end) == (6, [], "")
     assert second.objects != first.objects
-    assert not meshcat.HasPath("/search")
+    assert not meshcat.HasPath("/inspect/occupancy/step_01")
     assert not meshcat.HasPath(f"/drake/visualizer/{first.objects[0]}")
     assert scenario.seed == 5, "the caller's scenario is left alone"
 

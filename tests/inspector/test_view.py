@@ -1,34 +1,16 @@
-import base64
-import re
-
 import numpy as np
 import pytest
-import umsgpack
 from pydrake.geometry import Meshcat
 
-from xray_drake.drawing.meshcat_layers import start_meshcat
+from tests.meshcat_probe import messages, pose, prop, tracks
+from xray_drake.drawing.meshcat_layers import set_opacity
 from xray_drake.inspector.layers import LAYERS
 from xray_drake.inspector.replay import Replay
 from xray_drake.inspector.view import STEP_TIME, ReplayView, look_at_heap
 
 
-@pytest.fixture
-def meshcat() -> Meshcat:
-    return start_meshcat()
-
-
 def position(meshcat: Meshcat, name: str) -> np.ndarray:
-    packed = meshcat._GetPackedTransform(f"/drake/visualizer/{name}/{name}")
-    return np.array(umsgpack.unpackb(packed)["matrix"]).reshape(4, 4)[3, :3]
-
-
-def prop(meshcat: Meshcat, path: str, name: str) -> object:
-    return umsgpack.unpackb(meshcat._GetPackedProperty(path, name))["value"]
-
-
-def messages(page: str) -> list[dict]:
-    packed = re.findall(r"octet-binary;base64,([A-Za-z0-9+/=]+)", page)
-    return [umsgpack.unpackb(base64.b64decode(text)) for text in packed]
+    return pose(meshcat, f"/drake/visualizer/{name}/{name}")[:3, 3]
 
 
 def test_steps_put_the_objects_where_they_were(
@@ -66,6 +48,8 @@ def test_the_gripper_is_not_in_the_way(
 
 def test_x_ray(meshcat: Meshcat, looked_at: Replay) -> None:
     view = ReplayView(looked_at, meshcat)
+    with pytest.raises(ValueError, match=r"'cup'.*ForcedPublish"):
+        set_opacity(meshcat, "cup", 0.25)
     view.set_heap_opacity(0.25)
     for name in ("book", "pad", "block", "plank"):
         path = f"visualizer/{name}/{name}/{name}/visual"
@@ -108,15 +92,7 @@ def test_a_static_page_goes_through_the_steps(
         for step in (1, 2):
             path = f"/inspect/{layer.name}/step_{step:02d}"
             assert any(o == path or o.startswith(f"{path}/") for o in objects)
-    (animation,) = [m for m in page if m.get("type") == "set_animation"]
-    keys = {
-        (item["path"], track["name"]): [
-            (key["time"] / item["clip"]["fps"], key["value"])
-            for key in track["keys"]
-        ]
-        for item in animation["animations"]
-        for track in item["clip"]["tracks"]
-    }
+    keys = tracks(meshcat.StaticHtml())
 
     def visible(path: str, time: float) -> bool:
         *_, (_, value) = [k for k in keys[path, ".visible"] if k[0] <= time]

@@ -29,7 +29,7 @@ from xray_drake.provenance import Run, current, describe, record_run
 
 if TYPE_CHECKING:
     from xray_drake.dataset.sample import Sample
-    from xray_drake.drawing.predictions import Example
+    from xray_drake.inspector.figures import Example
     from xray_drake.training.evaluation import Predictor
 
 app = typer.Typer(
@@ -234,7 +234,7 @@ def _choose(
     Raises:
         ValueError: there is none.
     """
-    from xray_drake.drawing.predictions import choose_examples
+    from xray_drake.inspector.figures import choose_examples
 
     drawn = choose_examples(next(iter(ious.values())), examples, worst=worst)
     if not drawn:
@@ -345,14 +345,14 @@ def _example(
     predictors: Mapping[str, "Predictor"],
     ious: Mapping[str, float],
 ) -> "Example":
-    from xray_drake.drawing.predictions import Example
+    from xray_drake.inspector.figures import Example
 
     predictions = {name: ask(sample) for name, ask in predictors.items()}
     return Example(sample=sample, predictions=predictions, ious=ious)
 
 
 def _write_figure(examples: Sequence["Example"], path: Path) -> None:
-    from xray_drake.drawing.predictions import prediction_figure
+    from xray_drake.inspector.figures import prediction_figure
 
     prediction_figure(examples).savefig(
         path, format=path.suffix.removeprefix(".").lower()

@@ -345,7 +345,7 @@ def write_figure(samples: Sequence["Sample"], path: Path) -> None:
         ValueError: no format is called so.
         OSError: it cannot be written.
     """
-    from xray_drake.drawing.sample_figure import sample_figure
+    from xray_drake.inspector.figures import sample_figure
 
     figure = sample_figure(samples)
     kinds = figure.canvas.get_supported_filetypes()

@@ -133,7 +133,7 @@ def run(options: SearchOptions, console: Console) -> int:
         write_record(record, options.json)
     if options.html is not None:
         write_html(meshcat, options.html)
-    if strip is not None and film.frames:
+    if strip is not None and film.snapshots:
         film.write(strip)
     _summarize(record, options, console)
     return INTERRUPTED if record.end == "interrupted" else 0

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from xray_drake.drawing.colors import heat
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
 
@@ -39,97 +38,45 @@ def surface_depth(
     return nearest - gap
 
 
-def tiles(
-    shown: np.ndarray,
-    depth: np.ndarray,
-    camera: PinholeCamera,
-    *,
-    step: int,
-    labels: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the tiles of a depth image whose four corners are shown.
-
-    Args:
-        shown: (H, W) bool.
-        depth: (H, W) z-depth, m.
-        camera: of both images.
-        step: pixels per side of a tile.
-        labels: (H, W); a tile whose corners differ in it is left out.
-
-    Returns:
-        (3, n) vertices in the world in m, (3, m) triangles that face the
-        camera, (n,) each vertex's pixel as an index into the flat image; all
-        with no columns where nothing is shown.
-    """
-    corners = _corners(shown[::step, ::step])
-    filled = np.logical_and.reduce(corners)
-    if labels is not None:
-        first, *others = _corners(labels[::step, ::step])
-        filled &= np.logical_and.reduce([first == other for other in others])
-    index = np.arange(shown.size).reshape(shown.shape)[::step, ::step]
-    a, b = index[:-1, :-1][filled], index[:-1, 1:][filled]
-    c, d = index[1:, :-1][filled], index[1:, 1:][filled]
-    faces = np.concatenate([np.stack([a, c, b]), np.stack([b, c, d])], axis=1)
-    used, faces = np.unique(faces, return_inverse=True)
-    points = camera.unproject(depth).reshape(-1, 3)[used]
-    return points.T, faces.reshape(3, -1).astype(np.int32), used
-
-
-def _corners(image: np.ndarray) -> list[np.ndarray]:
-    return [image[:-1, :-1], image[1:, :-1], image[:-1, 1:], image[1:, 1:]]
-
-
-def mask_layer(
-    labels: np.ndarray,
+def color_layer(
     colors: np.ndarray,
     depth: np.ndarray,
     camera: PinholeCamera,
     *,
     step: int = 2,
+    labels: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns instance masks as coloured triangles over the heap.
+    """Returns a picture as coloured triangles over the heap.
 
-    Masks that touch are kept apart by a seam of one tile.
+    A tile is drawn where its four corners are.
 
     Args:
-        labels: (H, W) int; what is below 0 is not drawn.
-        colors: (n, 3) RGB in [0, 1] of each label; NaN is not drawn.
+        colors: (H, W, 3) RGB in [0, 1]; NaN is not drawn.
         depth: (H, W) z-depth that the layer lies on, m.
-        camera: of both images.
+        camera: of all images.
         step: pixels per side of a tile.
+        labels: (H, W); a tile whose corners differ in it is left out.
 
     Returns:
-        (3, n) vertices in the world in m, (3, m) triangles, (3, n) RGB in
-        [0, 1]; all with no columns where nothing is drawn.
+        (3, n) vertices in the world in m, (3, m) triangles that face the
+        camera, (3, n) RGB; all with no columns where nothing is drawn.
     """
-    drawn = np.append(np.isfinite(colors).all(axis=1), False)
-    vertices, faces, pixels = tiles(
-        drawn[labels], depth, camera, step=step, labels=labels
-    )
-    return vertices, faces, colors[labels.reshape(-1)[pixels]].T
+    corners = _corners(np.isfinite(colors[::step, ::step, 0]))
+    filled = np.logical_and.reduce(corners)
+    if labels is not None:
+        first, *others = _corners(labels[::step, ::step])
+        filled &= np.logical_and.reduce([first == other for other in others])
+    index = np.arange(depth.size).reshape(depth.shape)[::step, ::step]
+    a, c, b, d = (corner[filled] for corner in _corners(index))
+    faces = np.concatenate([np.stack([a, c, b]), np.stack([b, c, d])], axis=1)
+    used, faces = np.unique(faces, return_inverse=True)
+    points = camera.unproject(depth).reshape(-1, 3)[used]
+    painted = colors.reshape(-1, 3)[used]
+    return points.T, faces.reshape(3, -1).astype(np.int32), painted.T
 
 
-def heat_layer(
-    values: np.ndarray,
-    depth: np.ndarray,
-    camera: PinholeCamera,
-    *,
-    step: int = 2,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns a distribution as coloured triangles over the heap.
-
-    Args:
-        values: (H, W) in [0, 1]; only what is above 0 is drawn.
-        depth: (H, W) z-depth that the layer lies on, m.
-        camera: of both images.
-        step: pixels per side of a tile.
-
-    Returns:
-        (3, n) vertices in the world in m, (3, m) triangles, (3, n) RGB in
-        [0, 1]; all with no columns where nothing is above 0.
-    """
-    vertices, faces, pixels = tiles(values > 0, depth, camera, step=step)
-    return vertices, faces, heat(values.reshape(-1)[pixels]).T
+def _corners(image: np.ndarray) -> list[np.ndarray]:
+    return [image[:-1, :-1], image[1:, :-1], image[:-1, 1:], image[1:, 1:]]
 
 
 def mask_outline(
@@ -157,5 +104,6 @@ def mask_outline(
     kernel = np.ones((size, size), np.uint8)
     inside = mask.astype(np.uint8)
     band = cv2.dilate(inside, kernel) > cv2.erode(inside, kernel)
-    vertices, faces, _ = tiles(band, depth, camera, step=1)
+    shown = np.where(band, 0.0, np.nan)[..., None].repeat(3, axis=2)
+    vertices, faces, _ = color_layer(shown, depth, camera, step=1)
     return vertices, faces

@@ -7,12 +7,8 @@ from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.perception import BaseField, Fields, PointCloud
 
-from xray_drake.drawing.layers import (
-    heat_layer,
-    mask_layer,
-    mask_outline,
-    surface_depth,
-)
+from xray_drake.drawing.colors import heat
+from xray_drake.drawing.layers import color_layer, mask_outline, surface_depth
 from xray_drake.drawing.primitives import Lines, Points
 from xray_drake.drawing.text import text_mesh
 from xray_drake.geometry.camera import PinholeCamera
@@ -106,7 +102,8 @@ def draw_occupancy(
         camera: of both images.
         opacity: in [0, 1].
     """
-    layer = heat_layer(values, surface_depth(depth, camera), camera)
+    colors = np.where(values[..., None] > 0, heat(values), np.nan)
+    layer = color_layer(colors, surface_depth(depth, camera), camera)
     _draw_colors(meshcat, path, layer, opacity)
 
 
@@ -133,7 +130,8 @@ def draw_masks(
     """
     # Each mask lies on its own object alone, so it need not hover high.
     surface = surface_depth(depth, camera, reach=0, gap=_MASK_GAP)
-    layer = mask_layer(labels, colors, surface, camera)
+    painted = np.vstack([colors, np.full(3, np.nan)])[labels]
+    layer = color_layer(painted, surface, camera, labels=labels)
     _draw_colors(meshcat, path, layer, opacity)
 
 

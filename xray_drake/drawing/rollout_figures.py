@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from xray_drake.drawing.figures import plain_figure
 
 _MOST_COLUMNS = 4
 _MARKERS = "osD^vP*Xh"
@@ -38,7 +39,7 @@ def actions_figure(
         raise ValueError("a figure needs at least one policy")
     columns = min(len(actions), _MOST_COLUMNS)
     rows = -(-len(actions) // columns)
-    figure = _figure(3.2 * columns, 2.6 * rows)
+    figure = plain_figure(3.2 * columns, 2.6 * rows)
     grid = figure.subplots(
         rows, columns, sharex=True, sharey=True, squeeze=False
     )
@@ -83,7 +84,7 @@ def success_figure(rates: Mapping[str, Sequence[float]]) -> Figure:
     """
     if not rates:
         raise ValueError("a figure needs at least one policy")
-    figure = _figure(7.0, 4.4)
+    figure = plain_figure(7.0, 4.4)
     axis = figure.subplots()
     for i, ((name, values), color) in enumerate(
         zip(rates.items(), _colors(len(rates)), strict=True)
@@ -115,12 +116,6 @@ def success_figure(rates: Mapping[str, Sequence[float]]) -> Figure:
         bbox_to_anchor=(1.01, 0.5),
         frameon=False,
     )
-    return figure
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     return figure
 
 

@@ -5,14 +5,13 @@ from typing import Protocol
 import numpy as np
 
 from xray_drake.dataset.sample import Sample
-from xray_drake.drawing.colors import heat
+from xray_drake.drawing.colors import heat, instance_colors
 from xray_drake.drawing.primitives import (
     Lines,
     Points,
     box_lines,
     frustum_lines,
 )
-from xray_drake.drawing.sample_figure import instance_colors
 
 _FRUSTUM = 0.1
 """Depth at which the camera's frustum ends, m."""

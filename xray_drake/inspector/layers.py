@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from pydrake.geometry import Meshcat
 
-from xray_drake.drawing.colors import heat
+from xray_drake.drawing.colors import heat, instance_colors
 from xray_drake.drawing.meshcat_layers import (
     draw_grasp,
     draw_lines,
@@ -17,7 +18,6 @@ from xray_drake.drawing.meshcat_layers import (
     set_layer_opacity,
 )
 from xray_drake.drawing.primitives import Lines, Points, frustum_lines
-from xray_drake.drawing.sample_figure import instance_colors
 from xray_drake.geometry.readings import has_reading
 from xray_drake.inspector.snapshot import Snapshot
 
@@ -52,22 +52,6 @@ class Layer:
     translucent: bool = False
 
 
-def _draw_occupancy(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
-    values = shot.occupancy.supported()
-    draw_occupancy(meshcat, path, values, shot.depth, shot.camera)
-
-
-def _draw_instances(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
-    draw_masks(
-        meshcat,
-        path,
-        shot.instances.labels,
-        mask_colors(shot),
-        shot.depth,
-        shot.camera,
-    )
-
-
 def mask_colors(shot: Snapshot) -> np.ndarray:
     """Returns (n, 3) RGB in [0, 1], one for each instance; the target is red.
 
@@ -82,39 +66,55 @@ def mask_colors(shot: Snapshot) -> np.ndarray:
     return palette[[index[name] for name in names]].reshape(-1, 3)
 
 
-def _draw_scores(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
-    draw_masks(
-        meshcat,
-        path,
-        shot.instances.labels,
-        score_colors(shot),
-        shot.depth,
-        shot.camera,
-    )
-
-
 def score_colors(shot: Snapshot) -> np.ndarray:
     """Returns (n, 3) RGB in [0, 1], one for each instance: its score as heat.
 
     NaN where an instance was no candidate.
     """
     scores = shot.relative_scores()
-    colors = np.full((len(shot.instances.names), 3), np.nan)
-    for index, name in enumerate(shot.instances.names):
-        if name in scores:
-            colors[index] = heat(np.array(scores[name]))
-    return colors
+    names = shot.instances.names
+    shares = np.array([scores.get(name, np.nan) for name in names])
+    known = np.isfinite(shares)[:, None]
+    return np.where(known, heat(np.nan_to_num(shares)), np.nan)
+
+
+def seen_points(shot: Snapshot) -> Points:
+    """Returns what perception sees as points in the world, in its colours."""
+    drawn = np.zeros(shot.camera.shape, bool)
+    drawn[::_POINT_STEP, ::_POINT_STEP] = True
+    drawn &= has_reading(shot.seen_depth)
+    return Points(
+        shot.camera.unproject(shot.seen_depth)[drawn],
+        shot.color[drawn] / 255,
+        _POINT,
+    )
+
+
+def _draw_occupancy(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
+    values = shot.occupancy.supported()
+    draw_occupancy(meshcat, path, values, shot.depth, shot.camera)
+
+
+def _draw_instances(
+    meshcat: Meshcat,
+    path: str,
+    shot: Snapshot,
+    colors: Callable[[Snapshot], np.ndarray] = mask_colors,
+) -> None:
+    labels = shot.instances.labels
+    draw_masks(meshcat, path, labels, colors(shot), shot.depth, shot.camera)
 
 
 def _draw_silhouette(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
     mask = shot.target_amodal
     # Flat, over all that covers it: on the heap it would climb up and down.
     covered = shot.depth[mask & has_reading(shot.depth)]
+    flat = np.full_like(shot.depth, covered.min(initial=np.inf))
     draw_outline(
         meshcat,
         path,
         mask,
-        np.full_like(shot.depth, covered.min() if covered.size else np.inf),
+        flat,
         shot.camera,
         color=_TARGET_COLOR,
         width=_TARGET_LINE,
@@ -123,11 +123,9 @@ def _draw_silhouette(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
 
 def _draw_chosen(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
     meshcat.Delete(path)
-    grasp = shot.action.grasp
-    if grasp.object in shot.instances.names:
-        mask = shot.instances.mask(grasp.object)
-        draw_outline(meshcat, f"{path}/outline", mask, shot.depth, shot.camera)
-    draw_grasp(meshcat, f"{path}/gripper", grasp)
+    outline = f"{path}/outline"
+    draw_outline(meshcat, outline, shot.chosen, shot.depth, shot.camera)
+    draw_grasp(meshcat, f"{path}/gripper", shot.action.grasp)
 
 
 def _draw_candidates(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
@@ -154,22 +152,14 @@ def _draw_points(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
     draw_points(meshcat, path, seen_points(shot))
 
 
-def seen_points(shot: Snapshot) -> Points:
-    """Returns what perception sees as points in the world, in its colours."""
-    drawn = np.zeros(shot.camera.shape, bool)
-    drawn[::_POINT_STEP, ::_POINT_STEP] = True
-    drawn &= has_reading(shot.seen_depth)
-    return Points(
-        shot.camera.unproject(shot.seen_depth)[drawn],
-        shot.color[drawn] / 255,
-        _POINT,
-    )
-
-
 LAYERS = (
     Layer("occupancy", _draw_occupancy, 0.75, translucent=True),
     Layer("instances", _draw_instances, translucent=True),
-    Layer("scores", _draw_scores, translucent=True),
+    Layer(
+        "scores",
+        partial(_draw_instances, colors=score_colors),
+        translucent=True,
+    ),
     Layer("silhouette", _draw_silhouette, 1.0),
     Layer("grasp", _draw_chosen, 1.0),
     Layer("candidates", _draw_candidates),
@@ -189,49 +179,71 @@ LAYERS = (
 """
 
 
+SEARCH_LAYERS = tuple(
+    layer for layer in LAYERS if layer.name in ("occupancy", "grasp")
+)
+"""What is seen of a search while it goes on: nothing that only truth knows."""
+
+
 class SnapshotLayers:
     """The layers of some snapshots in Meshcat.
 
     Layer L of step k is at ``/inspect/L/step_k``. It is drawn when it is first
     seen, and from then on only shown and hidden: going back costs nothing.
+    Each step has a path of its own, too, since Meshcat's recordings animate
+    visibility but not geometry.
     """
 
-    def __init__(self, meshcat: Meshcat, snapshots: Sequence[Snapshot]) -> None:
+    def __init__(
+        self,
+        meshcat: Meshcat,
+        snapshots: Sequence[Snapshot] = (),
+        layers: Sequence[Layer] = LAYERS,
+    ) -> None:
         """Draws nothing yet; deletes the layers of an earlier search.
 
         Args:
             meshcat: where.
             snapshots: of one search, in order.
+            layers: what is drawn of them.
         """
         self._meshcat = meshcat
+        self._layers = {layer.name: layer for layer in layers}
         self._snapshots = {shot.step: shot for shot in snapshots}
-        self._opacity = {layer.name: layer.opacity for layer in LAYERS}
+        self._opacity = {layer.name: layer.opacity for layer in layers}
         self._drawn: dict[str, float] = {}
         self._step = 0
         meshcat.Delete(ROOT)
-        for layer in LAYERS:
-            self._switch(layer)
+        for name in self._layers:
+            self._switch(name)
 
     @property
     def step(self) -> int:
         """The decision on show; 0 for none."""
         return self._step
 
-    def show(self, step: int) -> None:
+    def add(self, shot: Snapshot) -> None:
+        """Adds the snapshot of one more step; it is not yet shown."""
+        self._snapshots[shot.step] = shot
+
+    def show(self, step: int, *, time: float | None = None) -> None:
         """Shows a decision in place of the one before.
 
         Args:
             step: of the snapshot; where there is none, all layers are empty.
+            time: in a recording, s.
         """
-        for layer in LAYERS:
-            before = _path(layer, self._step)
-            if self._step != step and before in self._drawn:
-                self._meshcat.SetProperty(before, "visible", False)
+        if step != self._step:
+            for path in self.paths(self._step):
+                if path in self._drawn:
+                    self._set_visible(path, False, time)
         self._step = step
-        for layer in LAYERS:
-            if step in self._snapshots and self._opacity[layer.name] > 0:
-                self._draw(layer, step)
-                self._meshcat.SetProperty(_path(layer, step), "visible", True)
+        for name, path in zip(self._layers, self.paths(step), strict=True):
+            if step in self._snapshots and self._opacity[name] > 0:
+                if path not in self._drawn and time is not None:
+                    self._set_visible(path, False, 0.0)
+                self._draw(name, step)
+                self._set_visible(path, True, time)
 
     def set_opacity(self, name: str, opacity: float) -> None:
         """Switches a layer on or off, or makes it translucent.
@@ -243,12 +255,10 @@ class SnapshotLayers:
         Raises:
             ValueError: there is no such layer.
         """
-        known = {layer.name: layer for layer in LAYERS}
-        if name not in known:
-            raise ValueError(f"no layer {name!r}: {', '.join(known)}")
-        layer = known[name]
+        if name not in self._layers:
+            raise ValueError(f"no layer {name!r}: {', '.join(self._layers)}")
         self._opacity[name] = opacity
-        self._switch(layer)
+        self._switch(name)
         self.show(self._step)
 
     def opacity(self, name: str) -> float:
@@ -257,31 +267,30 @@ class SnapshotLayers:
 
     def draw_all(self) -> None:
         """Draws all layers of all steps; what is switched off stays so."""
-        for layer in LAYERS:
-            for step in self._snapshots:
-                self._draw(layer, step)
-                self._meshcat.SetProperty(
-                    _path(layer, step), "visible", step == self._step
-                )
+        for step in self._snapshots:
+            for name, path in zip(self._layers, self.paths(step), strict=True):
+                self._draw(name, step)
+                self._set_visible(path, step == self._step)
 
     def paths(self, step: int) -> list[str]:
         """Returns where the layers of a step are."""
-        return [_path(layer, step) for layer in LAYERS]
+        return [f"{ROOT}/{name}/step_{step:02d}" for name in self._layers]
 
-    def _switch(self, layer: Layer) -> None:
+    def _set_visible(
+        self, path: str, visible: bool, time: float | None = None
+    ) -> None:
         self._meshcat.SetProperty(
-            f"{ROOT}/{layer.name}", "visible", self._opacity[layer.name] > 0
+            path, "visible", visible, time_in_recording=time
         )
 
-    def _draw(self, layer: Layer, step: int) -> None:
-        path, opacity = _path(layer, step), self._opacity[layer.name]
-        opacity = opacity if opacity > 0 else layer.opacity or 1.0
+    def _switch(self, name: str) -> None:
+        self._set_visible(f"{ROOT}/{name}", self._opacity[name] > 0)
+
+    def _draw(self, name: str, step: int) -> None:
+        layer, path = self._layers[name], f"{ROOT}/{name}/step_{step:02d}"
+        opacity = self._opacity[name] or layer.opacity or 1.0
         if path not in self._drawn:
             layer.draw(self._meshcat, path, self._snapshots[step])
         if layer.translucent and self._drawn.get(path) != opacity:
             set_layer_opacity(self._meshcat, path, opacity)
         self._drawn[path] = opacity
-
-
-def _path(layer: Layer, step: int) -> str:
-    return f"{ROOT}/{layer.name}/step_{step:02d}"

@@ -1,10 +1,10 @@
 """A Meshcat page with sliders and buttons to inspect heaps and searches."""
 
-import time as clock
 from collections.abc import Callable
 from dataclasses import replace
 
 from xray_drake.faults import BREAKDOWNS, one_line
+from xray_drake.inspector.controls import Controls
 from xray_drake.inspector.layers import LAYERS
 from xray_drake.inspector.replay import (
     Replay,
@@ -58,11 +58,9 @@ class InspectorPage:
             announce: told in a line what is shown or done.
         """
         self.view = view
-        self._meshcat = view.meshcat
+        self._controls = Controls(view.meshcat)
         self._announce = announce
         self._heap_opacity = opacity
-        self._values: dict[str, float] = {}
-        self._clicks: dict[str, int] = {}
         self._last = ""
         self._targets = TARGET_NAMES
         self._add_controls()
@@ -74,8 +72,7 @@ class InspectorPage:
         Returns:
             False where there was nothing to do.
         """
-        moved = self._moved()
-        clicked = self._clicked()
+        moved, clicked = self._controls.moved(), self._controls.clicked()
         for layer in LAYERS:
             if layer.name in moved:
                 self.view.layers.set_opacity(layer.name, moved[layer.name])
@@ -95,22 +92,14 @@ class InspectorPage:
 
     def loop(self) -> None:
         """Serves the page until Ctrl-C."""
-        try:
-            while True:
-                if not self.poll():
-                    clock.sleep(0.05)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            self._meshcat.DeleteAddedControls()
+        self._controls.serve(self.poll)
 
     def _go(self, step: int) -> None:
         step = min(max(step, 1), self.view.num_steps)
         if step != self.view.step:
             self.view.show(step)
             self._tell()
-        if STEP in self._values and self._values[STEP] != step:
-            self._values[STEP] = self._meshcat.SetSliderValue(STEP, step)
+        self._controls.set_slider(STEP, step)
 
     def _tell(self) -> None:
         self._announce("; ".join(self.view.describe(self.view.step)[1:]))
@@ -120,7 +109,7 @@ class InspectorPage:
         before = {
             layer.name: self.view.layers.opacity(layer.name) for layer in LAYERS
         }
-        self.view = ReplayView(replay, self._meshcat)
+        self.view = ReplayView(replay, self.view.meshcat)
         for name, opacity in before.items():
             self.view.layers.set_opacity(name, opacity)
         self.view.set_heap_opacity(self._heap_opacity)
@@ -128,26 +117,26 @@ class InspectorPage:
         self._tell()
 
     def _add_controls(self) -> None:
-        meshcat, replay = self._meshcat, self.view.replay
-        meshcat.DeleteAddedControls()
-        self._values, self._clicks, self._last = {}, {}, ""
+        controls, replay = self._controls, self.view.replay
+        controls.clear()
+        self._last = ""
         if self.view.num_steps > 1:
-            self._add_slider(STEP, 1, self.view.num_steps, 1, self.view.step)
-            self._add_button(BACK, "ArrowLeft")
-            self._add_button(NEXT, "ArrowRight")
+            controls.add_slider(STEP, 1, self.view.num_steps, 1, self.view.step)
+            controls.add_button(BACK, "ArrowLeft")
+            controls.add_button(NEXT, "ArrowRight")
         if not replay.ended:
-            self._add_button(SEARCH)
+            controls.add_button(SEARCH)
         for layer in LAYERS:
             grain = _LAYER_GRAIN if layer.translucent else 1
             value = self.view.layers.opacity(layer.name)
-            self._add_slider(layer.name, 0, 1, grain, value)
-        self._add_slider(HEAP_OPACITY, 0, 1, _HEAP_GRAIN, self._heap_opacity)
+            controls.add_slider(layer.name, 0, 1, grain, value)
+        controls.add_slider(HEAP_OPACITY, 0, 1, _HEAP_GRAIN, self._heap_opacity)
         scene, seed = replay.scenario.scene, replay.scenario.seed
         first = seed - seed % _SEEDS
-        self._add_slider(SEED, first, first + _SEEDS - 1, 1, seed)
+        controls.add_slider(SEED, first, first + _SEEDS - 1, 1, seed)
         if scene.target not in self._targets:
             self._targets += (scene.target,)
-        self._add_slider(
+        controls.add_slider(
             TARGET,
             1,
             len(self._targets),
@@ -156,19 +145,8 @@ class InspectorPage:
         )
         count = replay.heap.num_dropped
         most = min(max(_USUAL_OBJECTS, 2 * count), MOST_OBJECTS)
-        self._add_slider(OBJECTS, 1, most, 1, count)
+        controls.add_slider(OBJECTS, 1, most, 1, count)
         self._label_last()
-
-    def _add_slider(
-        self, name: str, low: float, high: float, grain: float, value: float
-    ) -> None:
-        self._values[name] = self._meshcat.AddSlider(
-            name, low, high, grain, value
-        )
-
-    def _add_button(self, name: str, key: str = "") -> None:
-        self._meshcat.AddButton(name, key)
-        self._clicks[name] = 0
 
     def _label_last(self, label: str = "") -> None:
         """Renames the last button; by default it says what it would drop."""
@@ -179,22 +157,20 @@ class InspectorPage:
                 f"objects, seed {chosen.seed}"
             )
         if label != self._last:
-            if self._last:
-                self._meshcat.DeleteButton(self._last)
-                del self._clicks[self._last]
+            self._controls.delete_button(self._last)
             self._last = label
-            self._add_button(label)
+            self._controls.add_button(label)
 
     def _chosen(self) -> Scenario:
         """Returns the scenario that the sliders say."""
-        scenario = self.view.replay.scenario
+        scenario, values = self.view.replay.scenario, self._controls.values
         return replace(
             scenario,
-            seed=round(self._values[SEED]),
+            seed=round(values[SEED]),
             scene=replace(
                 scenario.scene,
-                target=self._targets[round(self._values[TARGET]) - 1],
-                num_objects=round(self._values[OBJECTS]),
+                target=self._targets[round(values[TARGET]) - 1],
+                num_objects=round(values[OBJECTS]),
                 random_number=replace(scenario.scene.random_number, mean=0.0),
             ),
         )
@@ -229,23 +205,3 @@ class InspectorPage:
     def _fail(self, error: BaseException) -> None:
         self._announce(one_line(error))
         self._label_last()
-
-    def _moved(self) -> dict[str, float]:
-        """Returns the values of the sliders that were moved."""
-        moved = {}
-        for name, value in self._values.items():
-            now = self._meshcat.GetSliderValue(name)
-            if now != value:
-                moved[name] = now
-        self._values |= moved
-        return moved
-
-    def _clicked(self) -> dict[str, int]:
-        """Returns how often which buttons were clicked since the last look."""
-        clicked = {}
-        for name, count in self._clicks.items():
-            clicks = self._meshcat.GetButtonClicks(name)
-            if clicks != count:
-                clicked[name] = clicks - count
-            self._clicks[name] = clicks
-        return clicked

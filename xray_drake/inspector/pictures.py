@@ -6,72 +6,48 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    RenderCameraCore,
-)
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
-from pydrake.systems.sensors import CameraInfo
+from pydrake.systems.sensors import CameraConfig
 
 from xray_drake.drawing.colors import overlay
-from xray_drake.inspector.film_strip import FilmStrip
-from xray_drake.messages import GraspKind, GripperStatus, SearchAction
+from xray_drake.inspector.replay import first_decision
+from xray_drake.inspector.snapshot import Snapshot
+from xray_drake.messages import GraspKind, GripperStatus
 from xray_drake.resources import models_dir
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import attach_monitor
-from xray_drake.search.rollout import run_search
+from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import load_scenario
 
-NAMES = ("heap", "diagram", "film", "contact")
+NAMES = ("heap", "diagram", "contact")
 
-_EYE = np.array([-0.12, -0.72, 0.72])
-"""Where the camera stands that sees the gripper at work, m."""
-_AIM = np.array([0.10, 0.02, 0.14])
-"""What it looks at, m."""
+_X_WC = RigidTransform(
+    RollPitchYaw(np.deg2rad([-126.9, 0.0, -16.6])), [-0.12, -0.72, 0.72]
+)
+"""The camera sees the gripper at work."""
 _SLICE = 0.05
 """s between two looks at the gripper."""
 
 
-def heap_picture(diagram: SearchDiagram) -> np.ndarray:
-    """Renders a heap, the distribution over it, and what is grasped first.
+def heap_picture(shot: Snapshot) -> np.ndarray:
+    """Draws a heap, the distribution over it, and what is grasped first.
 
     Args:
-        diagram: a search that has not begun.
+        shot: of the heap.
 
     Returns:
         (H, 3·W, 3) uint8 RGB: the colour image, the distribution laid over
         it, and the object chosen.
     """
-    simulator = Simulator(diagram)
-    simulator.Initialize()
-    simulator.AdvanceTo(0.01)
-    context = simulator.get_context()
-
-    name = diagram.scenario.camera.name
-    look = {
-        port: diagram.GetOutputPort(port).Eval(context)
-        for port in (
-            f"{name}.color_image",
-            "occupancy_inference.occupancy",
-            "instance_segmenter.instances",
-            "search_policy.action",
-        )
-    }
-    color = look[f"{name}.color_image"].data[:, :, :3]
-    rho = look["occupancy_inference.occupancy"]
-    instances = look["instance_segmenter.instances"]
-    action: SearchAction = look["search_policy.action"]
-    chosen = np.array(color)
-    if action.grasp.object in instances.names:
-        mask = instances.mask(action.grasp.object).astype(np.uint8)
-        outlines, _ = cv2.findContours(
-            mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-        )
-        cv2.drawContours(chosen, outlines, -1, (255, 220, 0), 3)
-    return np.hstack([color, overlay(color, rho.supported()), chosen])
+    chosen = shot.color.copy()
+    outlines, _ = cv2.findContours(
+        shot.chosen.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    cv2.drawContours(chosen, outlines, -1, (255, 220, 0), 3)
+    likely = overlay(shot.color, shot.occupancy.supported())
+    return np.hstack([shot.color, likely, chosen])
 
 
 def diagram_picture(diagram: SearchDiagram, path: Path) -> None:
@@ -130,32 +106,16 @@ def contact_picture(
 
 def _render(diagram: SearchDiagram, context: Context) -> np.ndarray:
     """Returns (560, 840, 3) uint8 RGB of the bin, seen from the side."""
-    forward = (_AIM - _EYE) / np.linalg.norm(_AIM - _EYE)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    R_WC = RotationMatrix(
-        np.column_stack([right, np.cross(forward, right), forward])
-    )
-    core = RenderCameraCore(
-        diagram.scenario.camera.renderer_name,
-        CameraInfo(840, 560, np.deg2rad(40.0)),
-        ClippingRange(0.05, 5.0),
-        RigidTransform(),
-    )
+    camera, _ = CameraConfig(
+        width=840,
+        height=560,
+        focal=CameraConfig.FovDegrees(y=40.0),
+        renderer_name=diagram.scenario.camera.renderer_name,
+    ).MakeCameras()
+    world = diagram.station.scene_graph.world_frame_id()
     query = diagram.GetOutputPort("query_object").Eval(context)
-    image = query.RenderColorImage(
-        ColorRenderCamera(core),
-        diagram.station.scene_graph.world_frame_id(),
-        RigidTransform(R_WC, _EYE),
-    )
+    image = query.RenderColorImage(camera, world, _X_WC)
     return np.array(image.data[:, :, :3])
-
-
-def film_strip(diagram: SearchDiagram) -> FilmStrip:
-    """Runs a search and returns its film strip."""
-    film = FilmStrip()
-    run_search(diagram, observers=(film,))
-    return film
 
 
 def write_picture(name: str, folder: Path, seed: int | None = None) -> Path:
@@ -179,18 +139,19 @@ def write_picture(name: str, folder: Path, seed: int | None = None) -> Path:
     scenario.seed = _SEEDS[name] if seed is None else seed
     if name == "contact":
         scenario.scene.num_objects = 14
-    diagram = build_search_diagram(scenario)
     if name == "diagram":
-        diagram_picture(diagram, path)
-    elif name == "film":
-        film_strip(diagram).write(path)
+        diagram_picture(build_search_diagram(scenario), path)
+        return path
+    if name == "heap":
+        replay = first_decision(scenario, make_heap(scenario))
+        picture = heap_picture(replay.snapshots[0])
     else:
-        draw = heap_picture if name == "heap" else contact_picture
-        cv2.imwrite(str(path), cv2.cvtColor(draw(diagram), cv2.COLOR_RGB2BGR))
+        picture = contact_picture(build_search_diagram(scenario))
+    cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     return path
 
 
-_SEEDS = {"heap": 10008, "diagram": 10008, "film": 26, "contact": 0}
+_SEEDS = {"heap": 10008, "diagram": 10008, "contact": 0}
 """Heaps that show what there is to see."""
 
 

@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import Context
 
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
 from xray_drake.benchmark.variants import Variant
 from xray_drake.inspector.snapshot import Snapshot, SnapshotRecorder
 from xray_drake.provenance import versions
 from xray_drake.scene.heap import Heap
-from xray_drake.search.diagram import AGENT, build_search_diagram
-from xray_drake.search.monitor import attach_monitor
-from xray_drake.search.record import SearchRecord
+from xray_drake.search.diagram import AGENT, SearchDiagram, build_search_diagram
+from xray_drake.search.monitor import Observer, attach_monitor
+from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.search.rollout import run_search
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import (
@@ -26,8 +27,14 @@ from xray_drake.station.scenario import (
 Record = Mapping[str, Any]
 """A rollout as its JSON has it (DESIGN.md)."""
 
+_KEYS = {"policy", "seed", "target", "objects", "actions"}
+
 _FIRST_LOOK = 0.01
 """Simulated time until a policy has decided for the first time, s."""
+
+
+_CANDIDATES = 5
+"""So many of the ranking are planned for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +67,7 @@ def first_decision(scenario: Scenario, heap: Heap) -> Replay:
         heap: what lies in the bin.
     """
     diagram = build_search_diagram(scenario, heap=heap)
-    recorder = SnapshotRecorder()
+    recorder = SnapshotRecorder(candidates=_CANDIDATES)
     simulator = Simulator(diagram)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     monitor = attach_monitor(simulator, diagram, observers=(recorder,))
@@ -88,24 +95,25 @@ def replay_search(
         KeyboardInterrupt: Ctrl-C.
     """
     diagram = build_search_diagram(scenario, heap=heap)
-    recorder = SnapshotRecorder()
-    told = _Progress(scenario.horizon, progress or (lambda share: None))
-    record = run_search(diagram, observers=(recorder, told))
+    recorder = SnapshotRecorder(candidates=_CANDIDATES)
+    observers: tuple[Observer, ...] = (recorder,)
+    if progress is not None:
+        observers += (_Progress(scenario.horizon, progress),)
+    record = run_search(diagram, observers=observers)
     if record.end == "interrupted":
         raise KeyboardInterrupt
     return Replay(scenario, heap, record, tuple(recorder.snapshots))
 
 
-class _Progress:
-    """An observer that tells how far the search is."""
+class _Progress(Observer):
+    """Tells how far the search is."""
 
     def __init__(self, horizon: int, progress: Callable[[float], None]) -> None:
         self._horizon, self._progress = horizon, progress
 
-    def decided(self, *_: Any) -> None:
-        pass
-
-    def ended(self, diagram: Any, context: Any, record: Any) -> None:
+    def ended(
+        self, diagram: SearchDiagram, context: Context, record: ActionRecord
+    ) -> None:
         self._progress(record.step / self._horizon)
 
 
@@ -148,9 +156,11 @@ def load_rollout(
         path = path / ROLLOUTS
     if not path.is_file():
         raise ValueError(f"there is no file {path}")
+    wanted = {"number": index, "policy": policy, "seed": seed}
+    wanted = {key: value for key, value in wanted.items() if value is not None}
     if path.suffix == ".jsonl":
-        record = _choose(path, index, policy, seed)
-    elif index is not None or policy is not None or seed is not None:
+        record = _choose(path, wanted)
+    elif wanted:
         raise ValueError(
             f"{path} holds one rollout: --rollout, --policy and --seed choose "
             f"one of a benchmark's {ROLLOUTS}"
@@ -171,13 +181,7 @@ def _read(path: Path) -> Record:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not JSON: {error}") from error
-    if not isinstance(record, dict) or not {
-        "policy",
-        "seed",
-        "target",
-        "objects",
-        "actions",
-    } <= set(record):
+    if not isinstance(record, dict) or not set(record) >= _KEYS:
         raise ValueError(
             f"{path} is no record of a rollout: 'xray-drake search --json "
             "FILE' writes one"
@@ -185,33 +189,27 @@ def _read(path: Path) -> Record:
     return record
 
 
-def _choose(
-    path: Path, index: int | None, policy: str | None, seed: int | None
-) -> Record:
+def _choose(path: Path, wanted: Mapping[str, Any]) -> Record:
     records = read_rollouts(path.parent, path.name)
     if not records:
         raise ValueError(f"{path} holds no rollouts")
-    if index is not None and not 0 <= index < len(records):
+    if not 0 <= wanted.get("number", 0) < len(records):
         raise ValueError(
-            f"{path} has no rollout {index}: there are {len(records)}, from 0"
+            f"{path} has no rollout {wanted['number']}: there are "
+            f"{len(records)}, from 0"
         )
-    chosen = records if index is None else [records[index]]
     found = [
         record
-        for record in chosen
-        if policy in (None, record["policy"]) and seed in (None, record["seed"])
+        for number, record in enumerate(records)
+        if wanted == {key: (record | {"number": number})[key] for key in wanted}
     ]
     if not found:
-        wanted = [
-            *(["" if index is None else f"number {index}"]),
-            *(["" if policy is None else f"policy {policy}"]),
-            *(["" if seed is None else f"seed {seed}"]),
-        ]
+        seeds = [record["seed"] for record in records]
         raise ValueError(
-            f"{path} has no rollout of {', '.join(filter(None, wanted))}; "
+            f"{path} has no rollout of "
+            f"{', '.join(f'{key} {value}' for key, value in wanted.items())}; "
             f"policies: {', '.join(sorted({r['policy'] for r in records}))}; "
-            f"seeds: {min(r['seed'] for r in records)} to "
-            f"{max(r['seed'] for r in records)}"
+            f"seeds: {min(seeds)} to {max(seeds)}"
         )
     if found[0]["end"] == "error":
         raise ValueError(

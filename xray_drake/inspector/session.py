@@ -1,6 +1,5 @@
 """A search driven by buttons in Meshcat."""
 
-import time as clock
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -8,11 +7,12 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context
 
-from xray_drake.inspector.drawing import SearchDrawing
+from xray_drake.inspector.controls import Controls
+from xray_drake.inspector.recording import SearchDrawing
 from xray_drake.messages import SearchAction
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import Observer, SearchMonitor, attach_monitor
-from xray_drake.search.record import ActionRecord, SearchRecord
+from xray_drake.search.record import SearchRecord
 from xray_drake.station.scenario import Scenario
 
 BUTTONS = ("step", "run", "new heap")
@@ -20,7 +20,7 @@ BUTTONS = ("step", "run", "new heap")
 _SLICE = 0.1
 
 
-class _Decisions:
+class _Decisions(Observer):
     """Counts decisions, so that a step can stop before the gripper moves."""
 
     def __init__(self) -> None:
@@ -30,11 +30,6 @@ class _Decisions:
         self, diagram: SearchDiagram, context: Context, action: SearchAction
     ) -> None:
         self.count = action.number
-
-    def ended(
-        self, diagram: SearchDiagram, context: Context, record: ActionRecord
-    ) -> None:
-        pass
 
 
 class InteractiveSearch:
@@ -69,12 +64,12 @@ class InteractiveSearch:
         self._progress = progress
         self._running = False
         self._until = 0
-        self._clicks = dict.fromkeys(BUTTONS, 0)
         self._simulator: Simulator | None = None
         self._monitor: SearchMonitor | None = None
         self._decisions = _Decisions()
+        self._controls = Controls(meshcat)
         for name in BUTTONS:
-            meshcat.AddButton(name)
+            self._controls.add_button(name)
 
     @property
     def record(self) -> SearchRecord | None:
@@ -118,7 +113,7 @@ class InteractiveSearch:
         Returns:
             False where there was nothing to do.
         """
-        clicked = self._clicked()
+        clicked = self._controls.clicked()
         if self._simulator is None or self._monitor is None:
             self.new_heap(self._scenario.seed)
             return True
@@ -141,22 +136,6 @@ class InteractiveSearch:
 
     def loop(self) -> None:
         """Serves the buttons until Ctrl-C."""
-        try:
-            while True:
-                if not self.poll():
-                    clock.sleep(0.05)
-        except KeyboardInterrupt:
-            if self.record is not None and not self.record.end:
-                self.record.end = "interrupted"
-        finally:
-            for name in BUTTONS:
-                self._meshcat.DeleteButton(name)
-
-    def _clicked(self) -> set[str]:
-        clicked = set()
-        for name in BUTTONS:
-            clicks = self._meshcat.GetButtonClicks(name)
-            if clicks != self._clicks[name]:
-                clicked.add(name)
-            self._clicks[name] = clicks
-        return clicked
+        self._controls.serve(self.poll)
+        if self.record is not None and not self.record.end:
+            self.record.end = "interrupted"

@@ -18,14 +18,11 @@ from xray_drake.messages import (
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.system import SearchPolicy
 from xray_drake.search.diagram import SearchDiagram
+from xray_drake.search.monitor import Observer
 from xray_drake.search.record import ActionRecord
 
 Poses = Mapping[str, np.ndarray]
 """Object name to its 4×4 X_WO, m."""
-
-_NUM_CANDIDATES = 5
-"""So many of the ranking are planned for: a grasp costs some tenths of a
-second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +45,7 @@ class Snapshot:
             of the candidates that were ranked highest.
         poses_after: of all objects when the action had ended; None where it was
             not executed.
+        record: of the action, when it had ended.
     """
 
     action: SearchAction
@@ -62,6 +60,15 @@ class Snapshot:
     target_amodal: np.ndarray
     grasps: Mapping[str, Grasp] = field(default_factory=dict)
     poses_after: Poses | None = None
+    record: ActionRecord | None = None
+
+    @property
+    def chosen(self) -> np.ndarray:
+        """The (H, W) bool mask of what is grasped next; blank for nothing."""
+        name = self.action.grasp.object
+        if name not in self.instances.names:
+            return np.zeros(self.depth.shape, bool)
+        return self.instances.mask(name)
 
     @property
     def step(self) -> int:
@@ -83,7 +90,11 @@ class Snapshot:
 
 
 def take_snapshot(
-    diagram: SearchDiagram, context: Context, action: SearchAction
+    diagram: SearchDiagram,
+    context: Context,
+    action: SearchAction,
+    *,
+    candidates: int = 0,
 ) -> Snapshot:
     """Looks at a search that has just decided.
 
@@ -91,6 +102,8 @@ def take_snapshot(
         diagram: the search.
         context: its root context.
         action: the decision.
+        candidates: so many of the ranking are planned for; a grasp costs some
+            tenths of a second.
     """
     name, target = diagram.scenario.camera.name, diagram.heap.target
 
@@ -104,10 +117,9 @@ def take_snapshot(
     instances: InstanceMasks = look("instance_segmenter.instances")
     policy = diagram.GetSubsystemByName("search_policy")
     grasps: dict[str, Grasp] = {}
-    if isinstance(policy, SearchPolicy):
+    if candidates and isinstance(policy, SearchPolicy):
         grasps = policy.grasps(
-            policy.GetMyContextFromRoot(context),
-            action.ranking[:_NUM_CANDIDATES],
+            policy.GetMyContextFromRoot(context), action.ranking[:candidates]
         )
     if action.grasp:
         grasps[action.grasp.object] = action.grasp
@@ -139,26 +151,36 @@ def _poses(diagram: SearchDiagram, context: Context) -> Poses:
     }
 
 
-class SnapshotRecorder:
+class SnapshotRecorder(Observer):
     """An observer that takes a snapshot of each decision.
 
     Attributes:
         snapshots: so far.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, candidates: int = 0) -> None:
+        """Begins without snapshots.
+
+        Args:
+            candidates: see :func:`take_snapshot`.
+        """
         self.snapshots: list[Snapshot] = []
+        self._candidates = candidates
 
     def decided(
         self, diagram: SearchDiagram, context: Context, action: SearchAction
     ) -> None:
         """Takes one."""
-        self.snapshots.append(take_snapshot(diagram, context, action))
+        self.snapshots.append(
+            take_snapshot(diagram, context, action, candidates=self._candidates)
+        )
 
     def ended(
         self, diagram: SearchDiagram, context: Context, record: ActionRecord
     ) -> None:
-        """Adds where the objects are then."""
+        """Adds how the action ended, and where the objects are then."""
         self.snapshots[-1] = replace(
-            self.snapshots[-1], poses_after=_poses(diagram, context)
+            self.snapshots[-1],
+            poses_after=_poses(diagram, context),
+            record=record,
         )

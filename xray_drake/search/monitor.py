@@ -40,11 +40,13 @@ class Observer(Protocol):
             context: its root context.
             action: the decision.
         """
+        return
 
     def ended(
         self, diagram: SearchDiagram, context: Context, record: ActionRecord
     ) -> None:
         """Is called when an action has ended."""
+        return
 
 
 class SearchMonitor:

@@ -1,31 +1,18 @@
-import io
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 
-from xray_drake.drawing.colors import overlay
-from xray_drake.drawing.predictions import (
+from tests.dataset.whole import bare_sample
+from xray_drake.drawing.colors import depth_picture, instance_picture, overlay
+from xray_drake.inspector.figures import (
     Example,
     choose_examples,
     prediction_figure,
+    sample_figure,
 )
-from xray_drake.drawing.sample_figure import depth_picture
 from xray_drake.messages import OccupancyDistribution
-
-
-@dataclass
-class _Sample:
-    depth: np.ndarray
-    target_modal: np.ndarray
-    target_amodal: np.ndarray
-    instances: np.ndarray
-    occupancy: np.ndarray
-    color: np.ndarray | None = None
-    visible_fraction: float = 0.25
-    key: object = "heap 3, lid, view 0, 12 dropped"
 
 
 def _example(*, hidden: bool = False) -> Example:
@@ -39,10 +26,10 @@ def _example(*, hidden: bool = False) -> Example:
     prediction = 0.5 * occupancy
     prediction[20, 3] = 0.01
     return Example(
-        sample=_Sample(
+        sample=replace(
+            bare_sample(mask, focal_length=40.0, heap_seed=3),
             depth=depth,
             target_modal=seen & (not hidden),
-            target_amodal=mask,
             instances=mask.astype(np.uint8),
             occupancy=occupancy,
         ),
@@ -55,12 +42,11 @@ def _example(*, hidden: bool = False) -> Example:
 
 
 def test_a_row_is_input_label_and_predictions() -> None:
-    before = mpl.get_backend(auto_select=False)
     example = _example()
     figure = prediction_figure([example, _example(hidden=True)])
     titles = [axis.get_title(loc="left") for axis in figure.axes]
     assert titles[:4] == [
-        "heap 3, lid, view 0, 12 dropped",
+        "heap 3, box_2to1, view 0, 11 dropped",
         "label, target 25% visible",
         "net_$a$, IoU 0.125",
         "exact, IoU nan",
@@ -78,11 +64,6 @@ def test_a_row_is_input_label_and_predictions() -> None:
     # The prediction has its own colours, and no more than its support is drawn.
     assert not np.array_equal(images[2], label)
     np.testing.assert_array_equal(images[2][20, 3], gray[20, 3])
-    data = io.BytesIO()
-    figure.savefig(data, format="png")
-    assert data.getvalue().startswith(b"\x89PNG")
-    # Nobody else's figures are touched.
-    assert mpl.get_backend(auto_select=False) == before
 
 
 def test_rows_need_the_same_predictors() -> None:
@@ -101,3 +82,25 @@ def test_the_first_or_the_worst_are_chosen() -> None:
     assert choose_examples(ious, 99) == [0, 1, 2, 3, 4, 5]
     assert choose_examples(ious, 99, worst=True) == [5, 1, 4, 0, 3]
     assert choose_examples([], 3, worst=True) == []
+
+
+def test_a_row_is_picture_depth_and_label() -> None:
+    sample = _example().sample
+    colored = replace(sample, color=np.full((24, 32, 3), 9, np.uint8))
+    blank = replace(sample, depth=np.zeros((24, 32)))
+    figure = sample_figure([sample, colored, blank])
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    assert titles[:3] == [
+        str(sample.key),
+        "depth 0.700 to 0.800 m",
+        f"{sample.visible_fraction:.0%} visible, support 32 pixels",
+    ]
+    assert titles[7] == "depth "
+    assert [len(axis.collections) for axis in figure.axes] == [2, 0, 1] * 3
+    images = [np.asarray(axis.images[0].get_array()) for axis in figure.axes]
+    np.testing.assert_array_equal(images[0], instance_picture(sample.instances))
+    assert (images[3] == 9).all()
+    gray = depth_picture(sample.depth)
+    np.testing.assert_array_equal(images[2], overlay(gray, sample.occupancy))
+    with pytest.raises(ValueError, match="at least one"):
+        sample_figure([])
