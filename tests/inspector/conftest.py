@@ -29,6 +29,6 @@ def looked_at(tiny_heap: Heap) -> Replay:
     return first_decision(short(), tiny_heap)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def meshcat() -> Meshcat:
     return start_meshcat()
