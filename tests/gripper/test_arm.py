@@ -14,7 +14,7 @@ from tests.gripper.test_contact import take as take_brick
 from tests.gripper.test_controller import Cell, take
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.carriers.arm import Arm
-from xray_drake.gripper.carriers.arm_cell import MOUNT, ArmCell
+from xray_drake.gripper.carriers.arm_cell import MOUNT
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
 from xray_drake.gripper.controller import GripperController
@@ -44,7 +44,7 @@ def gripper() -> YumiGripper:
 
 @pytest.fixture(scope="module")
 def arm() -> Arm:
-    return Arm(ArmCell(), tool_acceleration=4.0)
+    return Arm()
 
 
 def down(x: float, y: float, z: float, yaw: float) -> np.ndarray:
@@ -74,9 +74,9 @@ def higher(X_WT: np.ndarray, by: float = LIFT) -> np.ndarray:
 def test_joints_give_the_pose_they_are_asked_for(
     arm: Arm, X_WT: np.ndarray
 ) -> None:
-    q = arm.joints(X_WT, near=arm.home)
+    q = arm.along([X_WT], near=arm.home)[0]
     np.testing.assert_allclose(arm.pose(q), X_WT, atol=1e-6)
-    assert np.all((arm.cell.lower <= q) & (q <= arm.cell.upper))
+    assert np.all((arm.limits.lower <= q) & (q <= arm.limits.upper))
     assert arm.cell.is_clear(q)
 
 
@@ -104,13 +104,13 @@ def test_paths_keep_the_limits_and_do_not_jump(arm: Arm) -> None:
         Leg(high, 0.3),
         Leg(arm.home, 0.8, free=True),
     ]
-    path = arm.path(arm.home, legs, 0.0)
+    path = arm.path(arm.home, legs, 0.0, acceleration=4.0)
     times = np.arange(0, path.end_time, 0.01)
     q, v = (np.array(x) for x in zip(*map(path.sample, times), strict=True))
     a = np.array([path.acceleration(time) for time in times])
-    assert np.all(np.abs(v) <= arm.velocity)
-    assert np.all(np.abs(a) <= arm.acceleration)
-    assert np.all((arm.cell.lower <= q) & (q <= arm.cell.upper))
+    assert np.all(np.abs(v) <= arm.limits.velocity)
+    assert np.all(np.abs(a) <= arm.limits.acceleration)
+    assert np.all((arm.limits.lower <= q) & (q <= arm.limits.upper))
     # Positions and velocities belong together, from leg to leg, too.
     np.testing.assert_allclose(
         np.diff(q, axis=0), 0.01 * (v[1:] + v[:-1]) / 2, atol=5e-4
@@ -119,7 +119,7 @@ def test_paths_keep_the_limits_and_do_not_jump(arm: Arm) -> None:
     speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) / 0.01
     assert speed.max() <= 0.8
     bend = np.linalg.norm(np.diff(tool, 2, axis=0), axis=1) / 0.01**2
-    assert bend.max() <= 1.05 * arm.tool_acceleration
+    assert bend.max() <= 1.05 * 4.0
     for time in (0.0, path.end_time):
         np.testing.assert_allclose(path.sample(time)[1], 0, atol=1e-6)
     assert all(map(arm.cell.is_clear, q[::10]))
@@ -140,7 +140,7 @@ def test_it_carries_level_and_round_its_base(arm: Arm) -> None:
 
 def test_out_of_reach_is_said_in_a_line(arm: Arm) -> None:
     with pytest.raises(ReachError, match=r"^out of the arm's reach: tool at"):
-        arm.joints(down(-0.6, 0.0, 0.2, 0.0), near=arm.home)
+        arm.along([down(-0.6, 0.0, 0.2, 0.0)], near=arm.home)
     low = grasps(1)[0]
     with pytest.raises(ReachError, match="straight on from the tool at"):
         arm.along([low, higher(low, 0.8)], near=arm.home)
@@ -157,13 +157,13 @@ def test_it_goes_as_high_as_it_can(arm: Arm) -> None:
 
 
 def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
-    q = arm.joints(grasps(1)[0], near=arm.home)
+    q = arm.along(grasps(1), near=arm.home)[0]
     press = np.array([0.0, 0.0, -5.0])
     torque = arm.cell.jacobian(q)[3:].T @ press
     acceleration = np.full(7, 0.7)
     v = np.full(7, 0.5)
     held = torque + arm.cell.inertial_torque(q, v, acceleration)
-    desired = q + held / arm.stiffness
+    desired = q + held / arm.limits.stiffness
     tracking = Tracking(q, v, desired, v, acceleration)
     np.testing.assert_allclose(arm.force(tracking), press, atol=1e-6)
 
@@ -182,7 +182,7 @@ def test_two_contexts_of_one_controller_take_turns(
         simulator = Simulator(system)
         context = simulator.get_mutable_context()
         for port, value in (
-            ("carrier_state", np.r_[gripper.home, np.zeros(7)]),
+            ("carrier_state", np.r_[gripper.carrier.home, np.zeros(7)]),
             ("finger_state", np.zeros(4)),
             ("cup_state", AbstractValue.Make(CupState())),
             ("action", AbstractValue.Make(action)),
@@ -234,7 +234,9 @@ def test_a_grasp_from_start_to_end(gripper: YumiGripper) -> None:
     lowest = np.array(take_brick().grasp.X_WG)
     lowest[2, 3] -= ExecutionConfig().jaw_overtravel
     np.testing.assert_allclose(script.tool(CLOSE), lowest, atol=1e-5)
-    np.testing.assert_allclose(script.way[-1][3], gripper.home, atol=1e-6)
+    np.testing.assert_allclose(
+        script.way[-1][3], gripper.carrier.home, atol=1e-6
+    )
 
 
 def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:

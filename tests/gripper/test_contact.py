@@ -105,7 +105,7 @@ class Script:
         desired, _ = before.path.sample(self.time)
         lag, still = np.zeros(len(desired)), np.zeros(len(desired))
         lag[:3] = self.push(at, since, float(desired[2]))
-        joints = desired + lag / self.gripper.carrier.stiffness
+        joints = desired + lag / self.gripper.carrier.limits.stiffness
         shut = self.gripper.finger_travel - self.width(at, since) / 2
         closing = at is not Phase.APPROACH
         finger = min(before.finger, shut) if closing else before.finger
@@ -162,7 +162,7 @@ def test_nothing_happens_without_a_command(gripper: YumiGripper) -> None:
     for _ in range(20):
         script.step(SearchAction())
     assert script.stages == [Phase.IDLE]
-    np.testing.assert_allclose(script.way[-1][3], gripper.home)
+    np.testing.assert_allclose(script.way[-1][3], gripper.carrier.home)
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,9 @@ def test_a_jaw_grasp_from_start_to_end(whole: Script) -> None:
     assert np.all(np.abs(over) <= 0.1 + 1e-6)
     down = whole.tool(Phase.LOWER)
     assert down[2, 3] == pytest.approx(0.02 + CONFIG.release_height)
-    np.testing.assert_allclose(whole.way[-1][3], whole.gripper.home, atol=1e-6)
+    np.testing.assert_allclose(
+        whole.way[-1][3], whole.gripper.carrier.home, atol=1e-6
+    )
 
 
 def test_a_suction_grasp_from_start_to_end(gripper: YumiGripper) -> None:
@@ -207,7 +209,7 @@ def test_the_wrist_goes_smoothly_and_within_its_limits(whole: Script) -> None:
     q = np.array([joints for *_, joints in whole.way])
     v = np.diff(q, axis=0) / PERIOD
     a = np.diff(v, axis=0) / PERIOD
-    assert np.all(np.abs(v) <= whole.gripper.carrier.velocity + 1e-6)
+    assert np.all(np.abs(v) <= whole.gripper.carrier.limits.velocity + 1e-6)
     assert np.abs(v[:, :3]).max() <= CONFIG.speed + 1e-6
     # Between two samples of the path; a jump of 1 mm would give 10 m/s².
     assert np.abs(a[:, :3]).max() <= 1.5 * CONFIG.acceleration
@@ -256,7 +258,7 @@ def failure(script: Script, action: SearchAction) -> GripperStatus:
     state = script.state
     assert not state.suction
     assert state.finger == 0.0
-    np.testing.assert_allclose(state.path.end, script.gripper.home)
+    np.testing.assert_allclose(state.path.end, script.gripper.carrier.home)
     assert all(
         status.settling
         for _, state, status, _ in script.way

@@ -60,7 +60,7 @@ class Alone:
         self.system = GripperController(gripper=gripper)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
-        state = np.concatenate([gripper.home, np.zeros(6)])
+        state = np.concatenate([gripper.carrier.home, np.zeros(6)])
         self.system.GetInputPort("carrier_state").FixValue(self.context, state)
         self.system.GetInputPort("finger_state").FixValue(
             self.context, np.zeros(4)
@@ -112,7 +112,7 @@ def test_idle_it_stays_at_home(gripper: YumiGripper) -> None:
     assert (status.mode, status.number) == (GripperMode.IDLE, 0)
     np.testing.assert_allclose(
         controller.get("carrier_desired_state"),
-        [*gripper.home, *np.zeros(6)],
+        [*gripper.carrier.home, *np.zeros(6)],
         atol=1e-9,
     )
     np.testing.assert_array_equal(controller.get("finger_desired_state"), 0)
@@ -128,7 +128,7 @@ def test_a_command_is_taken_up_once(gripper: YumiGripper) -> None:
     assert (status.mode, status.number) == (GripperMode.BUSY, 1)
     controller.advance_to(0.2)
     desired = controller.get("carrier_desired_state")
-    assert desired[1] < gripper.home[1] - 0.001  # from home to the bin
+    assert desired[1] < gripper.carrier.home[1] - 0.001  # from home to the bin
     assert desired[7] < 0
     fingers = controller.get("finger_desired_state")
     assert 0.003 < fingers[0] == fingers[1]

@@ -58,7 +58,7 @@ class Scene:
         X_WJ[:3, 3] = jaw
         gripper = self.gripper
         q = gripper.carrier.joints(
-            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.home
+            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.carrier.home
         )
         self.plant.SetPositions(context, gripper.carrier_instance, q)
         self.plant.SetPositions(

@@ -3,17 +3,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.gripper.carriers.paths import Leg, make_path, stay
+from xray_drake.gripper.carriers.paths import Leg, stay
 from xray_drake.gripper.carriers.wrist import Wrist
+from xray_drake.gripper.models import JointLimits
 
 WRIST = Wrist(
     R_FT=np.eye(3),
-    lower=np.full(6, -10.0),
-    upper=np.full(6, 10.0),
-    velocity=np.array([1.5, 1.5, 1.0, 3.0, 2.0, 3.0]),
-    acceleration=np.array([4.0, 4.0, 4.0, 20.0, 10.0, 20.0]),
-    stiffness=np.ones(6),
-    damping=np.ones(6),
+    limits=JointLimits(
+        lower=np.full(6, -10.0),
+        upper=np.full(6, 10.0),
+        velocity=np.array([1.5, 1.5, 1.0, 3.0, 2.0, 3.0]),
+        acceleration=np.array([4.0, 4.0, 4.0, 20.0, 10.0, 20.0]),
+        stiffness=np.ones(6),
+        damping=np.ones(6),
+    ),
     mass=np.ones(3),
 )
 
@@ -30,7 +33,7 @@ legs = st.lists(
 def test_it_goes_along_its_legs_within_the_limits(
     start: np.ndarray, legs: list[Leg], begin: float
 ) -> None:
-    path = make_path(start, legs, begin, wrist=WRIST)
+    path = WRIST.path(start, legs, begin)
     np.testing.assert_allclose(path.sample(begin)[0], start, atol=1e-9)
     np.testing.assert_allclose(path.end, legs[-1].end, atol=1e-9)
     for time in (begin, path.end_time):
@@ -38,10 +41,10 @@ def test_it_goes_along_its_legs_within_the_limits(
     bends = path.trajectory.MakeDerivative(2)
     for time in np.linspace(begin, path.end_time, 60):
         _, v = path.sample(time)
-        assert np.all(np.abs(v) <= WRIST.velocity * (1 + 1e-6))
+        assert np.all(np.abs(v) <= WRIST.limits.velocity * (1 + 1e-6))
         assert np.linalg.norm(v[:3]) <= max(leg.speed for leg in legs) + 1e-6
         a = bends.value(time)[:, 0]
-        assert np.all(np.abs(a) <= WRIST.acceleration * (1 + 1e-6))
+        assert np.all(np.abs(a) <= WRIST.limits.acceleration * (1 + 1e-6))
     before = start
     for index, leg in enumerate(legs):
         curve = path.trajectory.segment(index)
@@ -56,10 +59,10 @@ def test_it_goes_along_its_legs_within_the_limits(
 
 def test_the_limits_are_used() -> None:
     far = np.array([1.0, 0, 0, 0, 0, 0])
-    path = make_path(np.zeros(6), [Leg(far, 0.5)], 0.0, wrist=WRIST)
+    path = WRIST.path(np.zeros(6), [Leg(far, 0.5)], 0.0)
     assert path.end_time == pytest.approx(1.875 / 0.5)
     near = 0.01 * far
-    path = make_path(np.zeros(6), [Leg(near)], 0.0, wrist=WRIST)
+    path = WRIST.path(np.zeros(6), [Leg(near)], 0.0)
     fastest = np.abs(
         [
             path.trajectory.MakeDerivative(2).value(t)[0, 0]
@@ -71,7 +74,7 @@ def test_the_limits_are_used() -> None:
 
 def test_it_stays_before_and_after() -> None:
     start, end = np.zeros(6), np.full(6, 0.1)
-    path = make_path(start, [Leg(end)], 1.0, wrist=WRIST)
+    path = WRIST.path(start, [Leg(end)], 1.0)
     for time, there in ((0.0, start), (99.0, end)):
         q, v = path.sample(time)
         np.testing.assert_allclose(q, there, atol=1e-12)

@@ -299,7 +299,8 @@ class Cell:
         self.context = self.simulator.get_mutable_context()
         X_WC = pose(0.05, 0.02, top, DOWN)
         self.q = self.gripper.carrier.joints(
-            X_WC @ np.linalg.inv(self.gripper.X_BC), near=self.gripper.home
+            X_WC @ np.linalg.inv(self.gripper.X_BC),
+            near=self.gripper.carrier.home,
         )
         plant.SetPositions(
             plant.GetMyMutableContextFromRoot(self.context),

@@ -6,15 +6,18 @@ from scipy.spatial.transform import Rotation
 
 from xray_drake.gripper.carriers.carrier import ReachError
 from xray_drake.gripper.carriers.wrist import Wrist
+from xray_drake.gripper.models import JointLimits
 
 WRIST = Wrist(
     R_FT=Rotation.from_euler("YX", [45, 180], degrees=True).as_matrix(),
-    lower=np.array([-0.5, -0.5, 0.0, -6.3, -np.pi / 2, -6.3]),
-    upper=np.array([1.0, 0.6, 0.9, 6.3, np.pi / 2, 6.3]),
-    velocity=np.ones(6),
-    acceleration=np.ones(6),
-    stiffness=np.ones(6),
-    damping=np.ones(6),
+    limits=JointLimits(
+        lower=np.array([-0.5, -0.5, 0.0, -6.3, -np.pi / 2, -6.3]),
+        upper=np.array([1.0, 0.6, 0.9, 6.3, np.pi / 2, 6.3]),
+        velocity=np.ones(6),
+        acceleration=np.ones(6),
+        stiffness=np.ones(6),
+        damping=np.ones(6),
+    ),
     mass=np.ones(3),
 )
 

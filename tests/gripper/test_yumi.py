@@ -87,7 +87,7 @@ class Cell:
         self.diagram: Diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
         self.context: Context = self.simulator.get_mutable_context()
-        self.q = self.gripper.home
+        self.q = self.gripper.carrier.home
         self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
         self.fix("fingers", np.zeros(4))
 
@@ -98,7 +98,7 @@ class Cell:
         """Puts the jaw at a pose, at once."""
         gripper = self.gripper
         self.q = gripper.carrier.joints(
-            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.home
+            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.carrier.home
         )
         self.plant.SetPositions(
             self.plant.GetMyMutableContextFromRoot(self.context),
@@ -223,7 +223,7 @@ def pushed(cell: Cell, force: float) -> None:
 def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
     """It goes as fast as it does to a grasp, and weighs 1.5 kg."""
     cell = Cell(time_step=time_step)
-    wrist = cell.gripper.carrier.slowed(ExecutionConfig.acceleration)
+    wrist = cell.gripper.carrier
     start = cell.q
     end = start + np.array([0.02, -0.15, -0.15, 0, 0, 0])
     tick = 0
@@ -231,7 +231,12 @@ def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
         pushed(cell, force)
         tick += round(0.2 / time_step)
         cell.simulator.AdvanceTo(tick * time_step)
-        path = wrist.path(start, [Leg(end, 0.8)], tick * time_step)
+        path = wrist.path(
+            start,
+            [Leg(end, 0.8)],
+            tick * time_step,
+            acceleration=ExecutionConfig.acceleration,
+        )
         felt = []
         while (time := tick * time_step) < path.end_time:
             desired, rate = path.sample(time)
@@ -329,25 +334,27 @@ def test_typed_access(alone: Cell) -> None:
     np.testing.assert_allclose(gripper.X_BJ, geometry.X_BJ, atol=1e-12)
     np.testing.assert_allclose(gripper.X_BC, geometry.X_BC, atol=1e-12)
     np.testing.assert_allclose(
-        gripper.carrier.pose(gripper.home) @ gripper.X_BJ, HOME, atol=1e-9
+        gripper.carrier.pose(gripper.carrier.home) @ gripper.X_BJ,
+        HOME,
+        atol=1e-9,
     )
     context = plant.CreateDefaultContext()
     np.testing.assert_allclose(
         gripper.base.EvalPoseInWorld(context).GetAsMatrix4(),
-        gripper.carrier.pose(gripper.home),
+        gripper.carrier.pose(gripper.carrier.home),
         atol=1e-9,
     )
     assert gripper.finger_force == 20.0
     assert gripper.finger_travel == 0.025
     assert gripper.finger_speed == 0.025
-    np.testing.assert_allclose(gripper.carrier.velocity[:3], 1.5)
-    np.testing.assert_allclose(gripper.carrier.acceleration[:3], 11.0)
+    np.testing.assert_allclose(gripper.carrier.limits.velocity[:3], 1.5)
+    np.testing.assert_allclose(gripper.carrier.limits.acceleration[:3], 11.0)
 
 
 def test_it_stays_where_it_is() -> None:
     cell = Cell()
     cell.advance(0.3)
-    np.testing.assert_allclose(cell.wrist, cell.gripper.home, atol=1e-6)
+    np.testing.assert_allclose(cell.wrist, cell.gripper.carrier.home, atol=1e-6)
     np.testing.assert_allclose(cell.fingers, 0, atol=1e-6)
 
 

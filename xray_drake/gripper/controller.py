@@ -72,7 +72,7 @@ class GripperController(TransferSystem[ContactState, Measurements]):
         )
         super().__init__(actuation, actuation.initial(), period=period)
         self._time_step = time_step
-        size = 2 * len(gripper.home)
+        size = 2 * len(gripper.carrier.home)
         self._carrier = self.DeclareVectorInputPort("carrier_state", size)
         self._fingers = self.DeclareVectorInputPort("finger_state", 4)
         self._cup = self.DeclareAbstractInputPort(

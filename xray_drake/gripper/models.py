@@ -1,12 +1,12 @@
 """The model files of gripper, wrist and arm, and what they say of joints."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, ModelInstanceIndex
+from pydrake.multibody.tree import Frame, Joint, ModelInstanceIndex
 
 from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.parsing import configure_parser
@@ -27,6 +27,26 @@ def add_hand(plant: MultibodyPlant, tool: Frame) -> ModelInstanceIndex:
     hand = add_model(plant, "yumi_gripper.sdf")
     plant.WeldFrames(tool, plant.GetFrameByName("gripper_base", hand))
     return hand
+
+
+def add_carrier(
+    plant: MultibodyPlant, file: str, base: str, X_WA: np.ndarray
+) -> tuple[ModelInstanceIndex, Frame]:
+    """Adds a carrier to a plant; returns it and its tool frame.
+
+    Args:
+        plant: not finalized.
+        file: in ``models/gripper``.
+        base: frame of the model that is welded to the world.
+        X_WA: 4×4 pose of that frame, m.
+    """
+    carrier = add_model(plant, file)
+    plant.WeldFrames(
+        plant.world_frame(),
+        plant.GetFrameByName(base, carrier),
+        RigidTransform(X_WA),
+    )
+    return carrier, plant.GetFrameByName("tool", carrier)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +70,30 @@ class JointLimits:
     damping: np.ndarray
 
 
+def moving_joints(
+    plant: MultibodyPlant, instance: ModelInstanceIndex
+) -> list[Joint]:
+    """Returns a model's joints that move, in the order of its file."""
+    joints = map(plant.get_joint, plant.GetJointIndices(instance))
+    return [joint for joint in joints if joint.num_positions()]
+
+
 def joint_limits(
-    plant: MultibodyPlant, names: Sequence[str], instance: ModelInstanceIndex
+    plant: MultibodyPlant, instance: ModelInstanceIndex
 ) -> JointLimits:
-    """Returns the limits of actuated joints of one degree of freedom.
+    """Returns the limits of a model's joints.
 
     Args:
         plant: holds them.
-        names: of the joints, which are their actuators', too.
-        instance: of which they are.
+        instance: the model; its joints are of one degree of freedom, and their
+            actuators have their names.
     """
-    joints = [plant.GetJointByName(name, instance) for name in names]
+    joints = moving_joints(plant, instance)
     gains = [
-        plant.GetJointActuatorByName(name, instance).get_controller_gains()
-        for name in names
+        plant.GetJointActuatorByName(
+            joint.name(), instance
+        ).get_controller_gains()
+        for joint in joints
     ]
     return JointLimits(
         lower=np.concatenate([j.position_lower_limits() for j in joints]),

@@ -160,7 +160,7 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         self._config = config = config or ExecutionConfig()
         self._force = min(force, gripper.finger_force)
         self._period = period
-        self._carrier: Carrier = gripper.carrier.slowed(config.acceleration)
+        self._carrier: Carrier = gripper.carrier
         self._transit = min(config.transit_height, self._carrier.highest)
         self._X_GB = {
             GraspKind.JAW: np.linalg.inv(gripper.X_BJ),
@@ -174,7 +174,7 @@ class ContactActuation(Actuation[ContactState, Measurements]):
 
     def initial(self) -> ContactState:
         """Returns the state at home."""
-        return ContactState(path=stay(self._gripper.home, 0.0, 0.01))
+        return ContactState(path=stay(self._carrier.home, 0.0, 0.01))
 
     def update(
         self, state: ContactState, measured: Measurements
@@ -340,9 +340,10 @@ class ContactActuation(Actuation[ContactState, Measurements]):
     ) -> ContactState:
         """Sets out along legs, from the end of the last path by default."""
         start = state.path.end if start is None else start
-        return replace(
-            state, path=self._carrier.path(start, legs, measured.time)
+        path = self._carrier.path(
+            start, legs, measured.time, acceleration=self._config.acceleration
         )
+        return replace(state, path=path)
 
     def _wait(
         self, state: ContactState, measured: Measurements
@@ -360,7 +361,7 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         self, state: ContactState, measured: Measurements
     ) -> ContactState:
         config, gripper = self._config, self._gripper
-        grasp, home = state.action.grasp, gripper.home
+        grasp, home = state.action.grasp, gripper.carrier.home
         suction = grasp.kind is GraspKind.SUCTION
         beyond = config.cup_overtravel if suction else config.jaw_overtravel
         poses = [
@@ -465,7 +466,7 @@ class ContactActuation(Actuation[ContactState, Measurements]):
     def _homeward(
         self, state: ContactState, measured: Measurements
     ) -> ContactState:
-        start, home = state.path.end, self._gripper.home
+        start, home = state.path.end, self._gripper.carrier.home
         height = max(self._transit, self._at(start)[2])
         up = self._carrier.at_height(start, height)
         across = self._carrier.at_height(home, height)

@@ -1,17 +1,15 @@
 """Joint positions and paths of the YuMi-like arm."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from pydrake.trajectories import CompositeTrajectory
-from scipy.spatial.transform import Rotation
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.trajectories import CompositeTrajectory, PiecewisePose
 
 from xray_drake.gripper.carriers.arm_cell import MOUNT, ArmCell
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg, Path, timed_curve
-from xray_drake.messages import Message
 
 READY = np.deg2rad([0.0, -60.0, 0.0, 10.0, 0.0, 60.0, 0.0])
 """Somewhere in the middle of the arm's reach."""
@@ -35,16 +33,7 @@ _JUMP = 0.5
 """No joint turns further in one of them, rad."""
 
 _LEVER = 0.3
-"""A rotation by 1 rad counts as much as this many metres."""
-
-_TOLERANCE = 1e-7
-_ITERATIONS = 20
-_DAMPING = 1e-6
-_LONGEST = 0.4
-"""Of Newton's method: error that ends it, m; steps, damping; step, rad."""
-
-_CENTRING = 0.25
-"""How strongly joints are drawn away from their limits, rad."""
+"""Moments about the tool count as forces with this lever, m."""
 
 _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 """The tool is turned by so much more than the arm, tried in this order."""
@@ -65,73 +54,35 @@ _DIGITS = 6
 _NEAR_ENOUGH = 0.01
 """What is released this much higher than wanted is set down, too, m."""
 
-_Draw = Callable[[np.ndarray], np.ndarray]
 
-
-@dataclass(frozen=True, eq=False)
-class Arm(Message):
+class Arm:
     """Seven turning joints; the tool frame T is at the flange.
 
-    An arm with seven joints can be at a pose in many ways. Inverse kinematics
-    (:meth:`~xray_drake.gripper.carriers.arm_cell.ArmCell.solve`) finds some
-    that are far from the joints' limits; from there a straight way is followed
-    in small steps, each made exact by Newton's method, which leaves one way to
-    turn the elbow: away from the limits again.
-
-    Attributes:
-        cell: the arm's model.
-        tool_acceleration: the tool's origin accelerates no more, m/s².
+    An arm with seven joints can be at a pose in many ways. Drake's differential
+    inverse kinematics (:meth:`~xray_drake.gripper.carriers.arm_cell.ArmCell.\
+reach`) finds some, from several seeds; from there a straight path is followed
+    in small steps, which leave one way to turn the elbow: to the middle of the
+    joints' limits.
     """
 
-    cell: ArmCell
-    tool_acceleration: float = 11.0
+    name = "arm"
+    highest = float(MOUNT[2, 3]) - _HEADROOM
 
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        return "arm"
-
-    @property
-    def stiffness(self) -> np.ndarray:
-        """The (7,) stiffness of the position control, N·m/rad."""
-        return self.cell.stiffness
-
-    @property
-    def highest(self) -> float:
-        """The tool's origin is carried about no higher than this, m."""
-        return float(MOUNT[2, 3]) - _HEADROOM
-
-    @property
-    def velocity(self) -> np.ndarray:
-        """The (7,) highest speeds, rad/s."""
-        return self.cell.velocity
-
-    @property
-    def acceleration(self) -> np.ndarray:
-        """The (7,) highest accelerations, rad/s²."""
-        return self.cell.acceleration
+    def __init__(self) -> None:
+        """Builds the arm's model."""
+        self.cell = ArmCell()
+        self.limits = self.cell.limits
+        self.pose = self.cell.pose
 
     @cached_property
     def home(self) -> np.ndarray:
         """The (7,) joint positions in which the arm waits."""
         X_WT = np.diag([1.0, -1.0, -1.0, 1.0])
         X_WT[:3, 3] = *_HOME_PLACE, self.highest
-        q = self._newton(X_WT, _HOME)
+        q = self.cell.reach(X_WT, _HOME, centred=False)
         if q is None:
             raise ReachError("the arm cannot be at home")
         return q
-
-    def pose(self, q: np.ndarray) -> np.ndarray:
-        """Returns the 4×4 pose X_WT at joint positions (7,)."""
-        return self.cell.pose(q)
-
-    def joints(self, X_WT: np.ndarray, *, near: np.ndarray) -> np.ndarray:
-        """Returns joint positions (7,) at a pose; of several those near others.
-
-        Raises:
-            ReachError: none were found.
-        """
-        return self.along([X_WT], near=near)[0]
 
     def along(
         self, poses: Sequence[np.ndarray], *, near: np.ndarray
@@ -232,7 +183,7 @@ class Arm(Message):
         for turn in () if found else turns:
             X = self._moved_over(X_WT, p_T, place, turn)
             try:
-                there = self.joints(X, near=q)
+                (there,) = self.along([X], near=q)
             except ReachError:
                 continue
             if self._is_clear(self._swing(q, there)):
@@ -268,8 +219,8 @@ class Arm(Message):
             turn + full + more
             for more in _TURNS
             for full in (0.0, 2 * np.pi, -2 * np.pi)
-            if self.cell.lower[0] < q[0] - turn - full - more
-            and q[0] - turn - full - more < self.cell.upper[0]
+            if self.limits.lower[0] < q[0] - turn - full - more
+            and q[0] - turn - full - more < self.limits.upper[0]
         ]
 
     def force(self, tracking: Tracking) -> np.ndarray:
@@ -277,20 +228,23 @@ class Arm(Message):
 
         What the drives exert without what it takes to accelerate the arm.
         """
-        cell = self.cell
         q, v = tracking.q, tracking.v
-        torque = cell.stiffness * (tracking.q_desired - q) + cell.damping * (
-            tracking.v_desired - v
+        torque = tracking.effort(self.limits) - self.cell.inertial_torque(
+            q, v, tracking.a_desired
         )
-        torque = torque - cell.inertial_torque(q, v, tracking.a_desired)
-        J = cell.jacobian(q)
+        J = self.cell.jacobian(q)
         J[:3] *= _LEVER
         # Where the arm is stretched it does not feel the force along it.
         wrench, *_ = np.linalg.lstsq(J.T, torque, rcond=_FEELING)
         return wrench[3:]
 
     def path(
-        self, start: np.ndarray, legs: Sequence[Leg], begin: float
+        self,
+        start: np.ndarray,
+        legs: Sequence[Leg],
+        begin: float,
+        *,
+        acceleration: float = 11.0,
     ) -> Path:
         """Returns a path from rest to rest along legs, resting between them.
 
@@ -299,48 +253,31 @@ class Arm(Message):
         """
         curves = []
         for leg in legs:
-            if leg.free:
-                knots = self._swing(start, leg.end)
-            else:
-                knots = self._line(start, leg.end)
+            way = self._swing if leg.free else self._line
+            knots = way(start, leg.end)
             curve = timed_curve(
                 knots,
                 np.array([self.pose(q)[:3, 3] for q in knots]),
                 begin,
                 speed=leg.speed,
-                tool_acceleration=self.tool_acceleration,
-                limits=self,
+                tool_acceleration=acceleration,
+                limits=self.limits,
             )
             curves.append(curve)
             start, begin = leg.end, curve.end_time()
         return Path(CompositeTrajectory(curves))
 
-    def slowed(self, acceleration: float) -> "Arm":
-        """Returns one whose tool's origin accelerates no more, m/s²."""
-        return replace(
-            self,
-            tool_acceleration=min(self.tool_acceleration, acceleration),
-        )
-
     # One pose.
-
-    @cached_property
-    def _seeds(self) -> np.ndarray:
-        cell = self.cell
-        rng = np.random.default_rng(0)
-        return rng.uniform(0.7 * cell.lower, 0.7 * cell.upper, (_SEEDS, 7))
 
     def _configurations(
         self, X_WT: np.ndarray, near: np.ndarray
     ) -> Iterator[np.ndarray]:
         """Yields joint positions at a pose, clear of all else."""
         found: list[np.ndarray] = []
-        near = self._facing(near, X_WT)
-        for seed in (near, READY, *self._seeds):
-            q = self.cell.solve(X_WT, near, seed)
-            if q is None:
-                continue
-            q = self._newton(X_WT, q)
+        lower, upper = 0.7 * self.limits.lower, 0.7 * self.limits.upper
+        seeds = np.random.default_rng(0).uniform(lower, upper, (_SEEDS, 7))
+        for seed in (self._facing(near, X_WT), READY, *seeds):
+            q = self.cell.reach(X_WT, seed)
             if q is None or any(np.abs(q - p).max() < 0.1 for p in found):
                 continue
             found.append(q)
@@ -356,60 +293,44 @@ class Arm(Message):
         q[0] -= turns[0]
         return q
 
-    def _newton(
-        self, X_WT: np.ndarray, q: np.ndarray, draw: _Draw | None = None
-    ) -> np.ndarray | None:
-        """Returns joint positions near q exactly at a pose, or None.
+    # Ways.
+
+    def _track(
+        self,
+        q: np.ndarray,
+        poses: Sequence[np.ndarray],
+        guess: Callable[[int, np.ndarray], np.ndarray] = lambda number, q: q,
+        *,
+        centred: bool = True,
+        clear: bool = False,
+    ) -> list[np.ndarray] | None:
+        """Returns q and joint positions at poses, one after the other, or None.
 
         Args:
-            X_WT: 4×4, m.
-            q: (7,) where to begin.
-            draw: says where q is drawn to, as far as the pose leaves it free.
+            q: (7,) joint positions where it begins.
+            poses: 4×4 X_WT, near one another.
+            guess: returns where the search for the joint positions at a pose
+                begins, of its number and the joint positions before.
+            centred: towards the middle of the joints' limits.
+            clear: only joint positions that are clear of all else.
         """
-        cell = self.cell
-        lower, upper = cell.lower + 1e-6, cell.upper - 1e-6
-        for number in range(_ITERATIONS):
-            error = _difference(X_WT, cell.pose(q))
-            pull = number < 2 and draw is not None
-            if not pull and np.abs(error).max() < _TOLERANCE:
-                return q
-            J = cell.jacobian(q)
-            J[:3] *= _LEVER
-            step = draw(q) if pull and draw is not None else np.zeros(7)
-            A = J @ J.T + _DAMPING * np.eye(6)
-            step = step + J.T @ np.linalg.solve(A, error - J @ step)
-            step *= min(1.0, _LONGEST / max(np.abs(step).max(), 1e-12))
-            q = np.clip(q + step, lower, upper)
-        return None
-
-    def _to_middle(self, q: np.ndarray) -> np.ndarray:
-        """Returns a step (7,) away from the joints' limits."""
-        cell = self.cell
-        half = (cell.upper - cell.lower) / 2
-        out = (q - (cell.upper + cell.lower) / 2) / half
-        return -_CENTRING * out**3 / half
-
-    # Ways.
+        found = [q]
+        for number, X_WT in enumerate(poses):
+            guessed = guess(number, q)
+            nearest = self.cell.reach(X_WT, guessed, centred=centred)
+            if nearest is None or np.abs(nearest - q).max() > _JUMP:
+                return None
+            if clear and not self.cell.is_clear(nearest):
+                return None
+            q = nearest
+            found.append(q)
+        return found
 
     def _follow(
         self, q: np.ndarray, X_WT: np.ndarray
     ) -> list[np.ndarray] | None:
         """Returns joint positions along a straight way to a pose, or None."""
-        start = self.pose(q)
-        found = []
-        for share in _shares(start, X_WT)[1:]:
-            nearest = self._newton(
-                _between(start, X_WT, share), q, self._to_middle
-            )
-            if (
-                nearest is None
-                or np.abs(nearest - q).max() > _JUMP
-                or not self.cell.is_clear(nearest)
-            ):
-                return None
-            q = nearest
-            found.append(q)
-        return found or [q]
+        return self._track(q, _straight(self.pose(q), X_WT)[1:], clear=True)
 
     def _line(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Returns joint positions (n, 7) along a straight way.
@@ -417,12 +338,14 @@ class Arm(Message):
         Raises:
             ReachError: there is none.
         """
-        X_0, X_1 = self.pose(start), self.pose(end)
-        shares = _shares(X_0, X_1)
-        knots = self._along(start, end, [_between(X_0, X_1, s) for s in shares])
-        if knots is None:
+        poses = _straight(self.pose(start), self.pose(end))[1:-1]
+        between = np.linspace(start, end, len(poses) + 2)
+        knots = self._track(
+            start, poses, lambda number, q: between[number + 1], centred=False
+        )
+        if knots is None or np.abs(end - knots[-1]).max() > _JUMP:
             raise ReachError("out of the arm's reach: no straight way")
-        return knots
+        return np.array([*knots, end])
 
     def _swing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Returns joint positions (n, 7) along a way about axis 1.
@@ -468,7 +391,7 @@ class Arm(Message):
         return [
             angle
             for angle in both
-            if self.cell.lower[0] < q[0] - angle < self.cell.upper[0]
+            if self.limits.lower[0] < q[0] - angle < self.limits.upper[0]
         ]
 
     def _turned(
@@ -489,7 +412,7 @@ class Arm(Message):
         rise = X_WT[2, 3] - X_0[2, 3]
         way = max(abs(turn) / _TURN, np.hypot(*rest) / _STEP, abs(rise) / _STEP)
         number = max(int(np.ceil(way)), 4)
-        knots, q = [start], start
+        poses = []
         for share in np.linspace(0, 1, number + 1)[1:]:
             R = _about_vertical(share * turn)
             at = out + share * rest
@@ -501,63 +424,27 @@ class Arm(Message):
             X[:2, 3] = axis + R[:2, :2] @ at
             X[2, 3] += share * rise
             X[:3, :3] = R @ X_0[:3, :3]
-            guess = np.array(q)
-            guess[0] -= turn / number
-            nearest = self._newton(X, guess, self._to_middle)
-            if nearest is None or np.abs(nearest - q).max() > _JUMP:
-                return None
-            q = nearest
-            knots.append(q)
-        return np.array(knots)
+            poses.append(X)
+        turned = np.zeros(7)
+        turned[0] = turn / number
+        knots = self._track(start, poses, lambda _, q: q - turned)
+        return None if knots is None else np.array(knots)
 
     def _is_clear(self, knots: np.ndarray) -> bool:
         return all(self.cell.is_clear(q) for q in knots)
 
-    def _along(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        poses: Sequence[np.ndarray],
-    ) -> np.ndarray | None:
-        """Returns joint positions at poses, from start to end, or None."""
-        shares = np.linspace(0, 1, len(poses))
-        q, knots = start, [start]
-        for share, X_WT in zip(shares[1:-1], poses[1:-1], strict=True):
-            wanted = (1 - share) * start + share * end
-            nearest = self._newton(X_WT, wanted)
-            if nearest is None or np.abs(nearest - q).max() > _JUMP:
-                return None
-            q = nearest
-            knots.append(q)
-        if np.abs(end - q).max() > _JUMP:
-            return None
-        return np.array([*knots, end])
 
-
-def _difference(X_WT: np.ndarray, X_WQ: np.ndarray) -> np.ndarray:
-    """Returns (6,) from a pose Q to T: turn times the lever, way, m."""
-    turn = Rotation.from_matrix(X_WT[:3, :3] @ X_WQ[:3, :3].T).as_rotvec()
-    return np.concatenate([_LEVER * turn, X_WT[:3, 3] - X_WQ[:3, 3]])
-
-
-def _shares(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Returns shares of a straight way, from 0 to 1, in small steps."""
-    difference = _difference(end, start)
-    turn = np.linalg.norm(difference[:3]) / _LEVER
-    way = np.linalg.norm(difference[3:])
-    number = max(int(np.ceil(max(way / _STEP, turn / _TURN) - 1e-6)), 1)
-    return np.linspace(0, 1, number + 1)
-
-
-def _between(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
-    """Returns a pose on the straight way from one to another."""
-    turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
-    pose = np.array(start)
-    pose[:3, 3] += share * (end[:3, 3] - start[:3, 3])
-    pose[:3, :3] = (
-        Rotation.from_rotvec(share * turn).as_matrix() @ start[:3, :3]
+def _straight(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """Returns poses on a straight way, the ends too, in small steps."""
+    X_0, X_1 = RigidTransform(start), RigidTransform(end)
+    turn = abs(
+        (X_1.rotation().inverse() @ X_0.rotation()).ToAngleAxis().angle()
     )
-    return pose
+    way = np.linalg.norm(X_1.translation() - X_0.translation())
+    number = max(int(np.ceil(max(way / _STEP, turn / _TURN) - 1e-6)), 1)
+    line = PiecewisePose.MakeLinear([0.0, 1.0], [X_0, X_1])
+    shares = np.linspace(0, 1, number + 1)
+    return [line.GetPose(share).GetAsMatrix4() for share in shares]
 
 
 def _nearest_first(angles: Sequence[float], wanted: float) -> list[float]:
@@ -566,7 +453,7 @@ def _nearest_first(angles: Sequence[float], wanted: float) -> list[float]:
 
 
 def _about_vertical(angle: float) -> np.ndarray:
-    return Rotation.from_rotvec([0, 0, angle]).as_matrix()
+    return RotationMatrix.MakeZRotation(angle).matrix()
 
 
 def _azimuth(p_W: np.ndarray) -> float:

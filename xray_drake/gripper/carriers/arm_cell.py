@@ -1,25 +1,24 @@
 """The arm in a plant of its own, between bin and tote, to compute with."""
 
 import itertools
+import logging
 
 import numpy as np
-from pydrake.geometry import (
-    CollisionFilterDeclaration,
-    GeometrySet,
-    SceneGraph,
+from pydrake.math import RigidTransform
+from pydrake.multibody.inverse_kinematics import (
+    DifferentialInverseKinematicsParameters,
+    DoDifferentialInverseKinematics,
 )
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.inverse_kinematics import InverseKinematics
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     Frame,
     JacobianWrtVariable,
     ModelInstanceIndex,
 )
-from pydrake.solvers import Solve
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
+from pydrake.systems.framework import Context
 
-from xray_drake.gripper.models import add_hand, add_model, joint_limits
+from xray_drake.gripper.models import add_carrier, add_hand, joint_limits
 from xray_drake.scene.plant import add_bin
 
 JOINTS = ("1", "2", "7", "3", "4", "5", "6")
@@ -32,28 +31,37 @@ MOUNT = np.array(
 and tote. The arm is too short to reach over both from beside them; from there
 it does, and it can keep out of the overhead camera's view."""
 
-_LINKS = tuple(f"link_{name}" for name in JOINTS)
+_CHAIN = ("arm_base", *(f"link_{name}" for name in JOINTS), "gripper_base")
+_FINGERS = ("left_finger", "right_finger")
+_FILTERED = (
+    # Whether the gripper touches something in the bin is the grasp planner's
+    # to say.
+    *itertools.product(("arm_base", _CHAIN[-1], *_FINGERS), ("bin", "tote")),
+    *itertools.product(_FINGERS, _CHAIN),
+    *itertools.pairwise(_CHAIN),
+    *zip(_CHAIN, _CHAIN[2:], strict=False),
+    # The gripper's body is as wide as the wrist that carries it.
+    ("gripper_base", "link_4"),
+)
+"""Pairs of bodies of which a distance tells nothing."""
 
 _MARGIN = 0.005
 """Links stay so far from bin, tote, post and one another, m."""
 
-_POSITION_TOLERANCE = 1e-5
-_ANGLE_TOLERANCE = 1e-3
-"""Of inverse kinematics, m and rad; what it finds is then made exact."""
+_TOLERANCE = 1e-7
+_ITERATIONS = 20
+_LONGEST = 0.4
+"""Of inverse kinematics: error that ends it, m and in a rotation matrix; steps
+at most; and the longest one, rad."""
 
-_NEARNESS = 0.1
-"""Weight of nearness against distance from the joints' limits."""
+_CENTRING = 0.02
+"""Share of the way to the middle of its limits that a joint goes in a step, as
+far as the pose leaves it free."""
 
 
-def add_arm_model(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
+def add_arm(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
     """Adds the arm to a plant, hung up; returns it and its tool frame."""
-    arm = add_model(plant, "yumi_arm.sdf")
-    plant.WeldFrames(
-        plant.world_frame(),
-        plant.GetFrameByName("arm_base", arm),
-        RigidTransform(MOUNT),
-    )
-    return arm, plant.GetFrameByName("tool", arm)
+    return add_carrier(plant, "yumi_arm.sdf", "arm_base", MOUNT)
 
 
 class ArmCell:
@@ -64,85 +72,59 @@ class ArmCell:
     two threads cannot use one cell, nor such a diagram, at the same time.
 
     Attributes:
-        lower: (7,) lowest positions, rad.
-        upper: (7,) highest positions, rad.
-        velocity: (7,) highest speeds, rad/s.
-        acceleration: (7,) highest accelerations, rad/s².
-        stiffness: (7,) of the position control, N·m/rad.
-        damping: (7,) of the position control, N·m·s/rad.
+        limits: of its n joints.
     """
 
     def __init__(self) -> None:
         """Builds the plant."""
-        builder = DiagramBuilder()
-        plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-        self._plant: MultibodyPlant = plant
-        arm, self._tool = add_arm_model(plant)
+        builder = RobotDiagramBuilder(0.0)
+        plant = builder.plant()
+        arm, tool = add_arm(plant)
         add_bin(plant, with_tote=True)
-        add_hand(plant, self._tool)
-        plant.Finalize()
-        limits = joint_limits(plant, [f"arm_{name}" for name in JOINTS], arm)
-        self.lower, self.upper = limits.lower, limits.upper
-        self.velocity = limits.velocity
-        self.acceleration = limits.acceleration
-        self.stiffness, self.damping = limits.stiffness, limits.damping
-        self._filter(scene_graph)
-        self._diagram = builder.Build()
-        self._root = self._diagram.CreateDefaultContext()
-        self._context = plant.GetMyMutableContextFromRoot(self._root)
-        self._query = plant.get_geometry_query_input_port()
-        self._q = plant.GetPositions(self._context)
-
-    def _filter(self, scene_graph: SceneGraph) -> None:
-        """Leaves the pairs that tell something of the arm.
-
-        Whether the gripper touches something in the bin is the grasp
-        planner's to say.
-        """
-        plant = self._plant
-
-        def geometry(*names: str) -> GeometrySet:
-            return GeometrySet(
-                [
-                    item
-                    for name in names
-                    for item in plant.GetCollisionGeometriesForBody(
-                        plant.GetBodyByName(name)
-                    )
-                ]
-            )
-
-        chain = ("arm_base", *_LINKS, "gripper_base")
-        fingers = ("left_finger", "right_finger")
-        surroundings = geometry("bin", "tote")
-        filters = CollisionFilterDeclaration()
-        filters.ExcludeBetween(
-            geometry("arm_base", "gripper_base", *fingers), surroundings
+        hand = add_hand(plant, tool)
+        self.limits = joint_limits(plant, arm)
+        self._tool = tool.index()
+        drake = logging.getLogger("drake")
+        level = drake.level
+        drake.setLevel(logging.WARNING)  # It tells of its contexts.
+        self._checker = SceneGraphCollisionChecker(
+            model=builder.Build(),
+            robot_model_instances=[arm, hand],
+            edge_step_size=1.0,
+            env_collision_padding=_MARGIN,
+            self_collision_padding=_MARGIN,
         )
-        filters.ExcludeBetween(geometry(*fingers), geometry(*chain))
-        for near, far in itertools.pairwise(range(len(chain))):
-            for name in chain[far : near + 3]:
-                filters.ExcludeBetween(geometry(chain[near]), geometry(name))
-        # The gripper's body is as wide as the wrist that carries it.
-        filters.ExcludeBetween(
-            geometry("gripper_base"), geometry("link_4", "link_5")
+        drake.setLevel(level)
+        plant = self._checker.plant()
+        for names in _FILTERED:
+            first, second = map(plant.GetBodyByName, names)
+            if not self._checker.IsCollisionFilteredBetween(first, second):
+                self._checker.SetCollisionFilteredBetween(first, second, True)
+        size, n = plant.num_positions(), len(JOINTS)
+        self._rest = np.zeros(size - n)
+        limits, rest = self.limits, self._rest
+        step = np.r_[np.full(n, _LONGEST), rest]
+        self._steps = DifferentialInverseKinematicsParameters(size, size)
+        self._steps.set_time_step(1.0)
+        self._steps.set_joint_velocity_limits((-step, step))
+        self._steps.set_joint_position_limits(
+            (np.r_[limits.lower + 1e-6, rest], np.r_[limits.upper - 1e-6, rest])
         )
-        scene_graph.collision_filter_manager().Apply(filters)
+        middle = (limits.lower + limits.upper) / 2
+        self._steps.set_nominal_joint_position(np.r_[middle, rest])
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the tool's 4×4 pose X_WT at joint positions (7,)."""
-        self._set(q)
-        X_WT = self._tool.CalcPoseInWorld(self._context)
-        return X_WT.GetAsMatrix4()
+        return self._pose(self._at(q)).GetAsMatrix4()
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Returns (6, 7): angular velocity of the tool over its velocity."""
-        self._set(q)
-        world = self._plant.world_frame()
-        J = self._plant.CalcJacobianSpatialVelocity(
-            self._context,
+        plant = self._checker.plant()
+        world = plant.world_frame()
+        J = plant.CalcJacobianSpatialVelocity(
+            self._at(q),
             JacobianWrtVariable.kQDot,
-            self._tool,
+            plant.get_frame(self._tool),
             np.zeros(3),
             world,
             world,
@@ -153,66 +135,47 @@ class ArmCell:
         self, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray
     ) -> np.ndarray:
         """Returns (7,) what it takes to move so with the gripper, N·m."""
-        self._set(q)
-        n, plant = len(q), self._plant
-        velocities = np.zeros(plant.num_velocities())
-        velocities[:n] = v
-        plant.SetVelocities(self._context, velocities)
-        M = plant.CalcMassMatrix(self._context)[:n, :n]
-        return M @ acceleration + plant.CalcBiasTerm(self._context)[:n]
+        plant, context, n = self._checker.plant(), self._at(q), len(q)
+        plant.SetVelocities(context, np.r_[v, self._rest])
+        M = plant.CalcMassMatrix(context)[:n, :n]
+        return M @ acceleration + plant.CalcBiasTerm(context)[:n]
 
     def is_clear(self, q: np.ndarray) -> bool:
         """Says whether the links are clear of all else."""
-        self._set(q)
-        query = self._query.Eval(self._context)
-        pairs = query.ComputeSignedDistancePairwiseClosestPoints(_MARGIN)
-        return not pairs
+        return self._checker.CheckConfigCollisionFree(np.r_[q, self._rest])
 
-    def solve(
-        self, X_WT: np.ndarray, near: np.ndarray, seed: np.ndarray
+    def reach(
+        self, X_WT: np.ndarray, q: np.ndarray, *, centred: bool = True
     ) -> np.ndarray | None:
-        """Returns joint positions (7,) at a pose, or None if none are found.
-
-        Drake's inverse kinematics: of the joint positions at the pose those
-        that are far from the joints' limits and near others.
+        """Returns joint positions (7,) near q exactly at a pose, or None.
 
         Args:
             X_WT: 4×4, m.
-            near: (7,) those others.
-            seed: (7,) where the search begins.
+            q: (7,) where to begin.
+            centred: at first it goes to the middle of the joints' limits, too.
         """
-        problem = InverseKinematics(self._plant, with_joint_limits=False)
-        q = problem.q()
-        n = len(self.lower)
-        world = self._plant.world_frame()
-        p_WT = X_WT[:3, 3]
-        problem.AddPositionConstraint(
-            self._tool,
-            np.zeros(3),
-            world,
-            p_WT - _POSITION_TOLERANCE,
-            p_WT + _POSITION_TOLERANCE,
-        )
-        problem.AddOrientationConstraint(
-            world,
-            RotationMatrix(X_WT[:3, :3]),
-            self._tool,
-            RotationMatrix(),
-            _ANGLE_TOLERANCE,
-        )
-        program = problem.prog()
-        program.AddBoundingBoxConstraint(self.lower, self.upper, q[:n])
-        program.AddBoundingBoxConstraint(0.0, 0.0, q[n:])
-        half = (self.upper - self.lower) / 2
-        weights = np.diag(half**-2.0)
-        middle = (self.upper + self.lower) / 2
-        program.AddQuadraticErrorCost(weights, middle, q[:n])
-        program.AddQuadraticErrorCost(_NEARNESS * weights, near, q[:n])
-        program.SetInitialGuess(q[:n], seed)
-        program.SetInitialGuess(q[n:], np.zeros(len(q) - n))
-        result = Solve(program)
-        return result.GetSolution(q[:n]) if result.is_success() else None
+        target, plant = RigidTransform(X_WT), self._checker.plant()
+        gain = _CENTRING * np.eye(plant.num_positions())
+        for number in range(_ITERATIONS):
+            centring = centred and number < 2
+            context = self._at(q)
+            if not centring and self._pose(context).IsNearlyEqualTo(
+                target, _TOLERANCE
+            ):
+                return q
+            self._steps.set_joint_centering_gain(centring * gain)
+            step = DoDifferentialInverseKinematics(
+                plant, context, target, plant.get_frame(self._tool), self._steps
+            ).joint_velocities
+            if step is None:
+                return None
+            q = q + step[: len(q)]
+        return None
 
-    def _set(self, q: np.ndarray) -> None:
-        self._q[: len(q)] = q
-        self._plant.SetPositions(self._context, self._q)
+    def _at(self, q: np.ndarray) -> Context:
+        self._checker.UpdatePositions(np.r_[q, self._rest])
+        return self._checker.plant_context()
+
+    def _pose(self, context: Context) -> RigidTransform:
+        frame = self._checker.plant().get_frame(self._tool)
+        return frame.CalcPoseInWorld(context)

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from xray_drake.gripper.carriers.paths import Leg, Path
+from xray_drake.gripper.models import JointLimits
 from xray_drake.gripper.transfer import TransferError
 
 
@@ -32,6 +33,12 @@ class Tracking:
     v_desired: np.ndarray
     a_desired: np.ndarray
 
+    def effort(self, limits: JointLimits) -> np.ndarray:
+        """Returns the (n,) efforts of the position control, N and N·m."""
+        return limits.stiffness * (self.q_desired - self.q) + limits.damping * (
+            self.v_desired - self.v
+        )
+
 
 class Carrier(Protocol):
     """A wrist or an arm with n joints that holds the gripper at its tool frame.
@@ -45,16 +52,12 @@ class Carrier(Protocol):
         """What messages call it."""
 
     @property
-    def velocity(self) -> np.ndarray:
-        """The (n,) highest speeds of its joints, m/s or rad/s."""
+    def limits(self) -> JointLimits:
+        """What its joints can do."""
 
     @property
-    def acceleration(self) -> np.ndarray:
-        """The (n,) highest accelerations, m/s² or rad/s²."""
-
-    @property
-    def stiffness(self) -> np.ndarray:
-        """The (n,) stiffness of the position control, N/m or N·m/rad."""
+    def home(self) -> np.ndarray:
+        """The joint positions in which it waits."""
 
     @property
     def highest(self) -> float:
@@ -62,13 +65,6 @@ class Carrier(Protocol):
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the pose X_WT at joint positions."""
-
-    def joints(self, X_WT: np.ndarray, *, near: np.ndarray) -> np.ndarray:
-        """Returns joint positions at a pose; of several those ``near`` others.
-
-        Raises:
-            ReachError: there are none.
-        """
 
     def along(
         self, poses: Sequence[np.ndarray], *, near: np.ndarray
@@ -119,7 +115,12 @@ class Carrier(Protocol):
         """Returns the (3,) force that the tool presses with, N."""
 
     def path(
-        self, start: np.ndarray, legs: Sequence[Leg], begin: float
+        self,
+        start: np.ndarray,
+        legs: Sequence[Leg],
+        begin: float,
+        *,
+        acceleration: float,
     ) -> Path:
         """Returns a path from rest to rest along legs, resting between them.
 
@@ -127,10 +128,8 @@ class Carrier(Protocol):
             start: joint positions.
             legs: one or more.
             begin: s.
+            acceleration: the tool's origin accelerates no more, m/s².
 
         Raises:
             ReachError: it cannot go along a straight leg.
         """
-
-    def slowed(self, acceleration: float) -> "Carrier":
-        """Returns one whose tool's origin accelerates no more, m/s²."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from pydrake.trajectories import (
@@ -12,7 +11,7 @@ from pydrake.trajectories import (
     PiecewisePolynomial,
 )
 
-from xray_drake.gripper.motion import quintic
+from xray_drake.gripper.models import JointLimits
 from xray_drake.messages import Message
 
 _PEAK_SPEED = 1.875
@@ -21,18 +20,6 @@ _PEAK_ACCELERATION = 10 / np.sqrt(3.0)
 
 _SPARE = 1.01
 """Limits are looked at in samples; so much more time keeps between them."""
-
-
-class Limits(Protocol):
-    """What bounds the motion of joints."""
-
-    @property
-    def velocity(self) -> np.ndarray:
-        """The (n,) highest speeds, m/s or rad/s."""
-
-    @property
-    def acceleration(self) -> np.ndarray:
-        """The (n,) highest accelerations, m/s² or rad/s²."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,24 +72,26 @@ class Path(Message):
         return self.trajectory.EvalDerivative(time, 2)[:, 0]
 
 
-def make_path(
+def straight_path(
     start: np.ndarray,
     legs: Sequence[Leg],
     begin: float,
     *,
-    wrist: Limits,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
     shortest: float = 0.05,
 ) -> Path:
     """Returns a path from rest to rest along legs, resting between them.
 
     Each leg is straight through joint space, and as fast as its own speed and
-    the wrist's velocity and acceleration limits let a quintic in time be.
+    the limits let a quintic in time be.
 
     Args:
-        start: (6,) joint positions.
+        start: (n,) joint positions; the first three are those of slides.
         legs: one or more.
         begin: s.
-        wrist: its limits.
+        velocity: (n,) highest speeds, m/s or rad/s.
+        acceleration: (n,) highest accelerations, m/s² or rad/s².
         shortest: least duration of a leg, s.
     """
     curves = []
@@ -111,8 +100,8 @@ def make_path(
         duration = max(
             shortest,
             _PEAK_SPEED * float(np.linalg.norm(way[:3])) / leg.speed,
-            _PEAK_SPEED * float((way / wrist.velocity).max()),
-            float(np.sqrt(_PEAK_ACCELERATION * way / wrist.acceleration).max()),
+            _PEAK_SPEED * float((way / velocity).max()),
+            float(np.sqrt(_PEAK_ACCELERATION * way / acceleration).max()),
         )
         points = np.column_stack([start] * 3 + [leg.end] * 3)
         curves.append(BezierCurve(begin, begin + duration, points))
@@ -135,7 +124,7 @@ def timed_curve(
     *,
     speed: float,
     tool_acceleration: float,
-    limits: Limits,
+    limits: JointLimits,
     shortest: float = 0.05,
 ) -> PathParameterizedTrajectory:
     """Returns a smooth curve through knots, from rest to rest.
@@ -152,44 +141,42 @@ def timed_curve(
         limits: of the n joints.
         shortest: least duration, s.
     """
-    if len(knots) < 4:  # As few as a spline can do with.
-        old, new = np.linspace(0, 1, len(knots)), np.linspace(0, 1, 4)
-        knots, points = (
-            np.column_stack([np.interp(new, old, row) for row in values.T])
-            for values in (knots, points)
-        )
-    u = np.linspace(0, 1, len(knots))
-    joints, tool = (
-        PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
-            u, values.T, False
-        )
-        for values in (knots, points)
+    times = np.linspace(0, 1, 8 * len(knots) + 1)
+    joints, tool = _spline(knots), _spline(points)
+    (v, a), (v_tool, a_tool) = (
+        [
+            np.array([curve.EvalDerivative(t, order)[:, 0] for t in times])
+            for order in (1, 2)
+        ]
+        for curve in (_quintic(line, 0.0, 1.0) for line in (joints, tool))
     )
-    s = np.linspace(0, 1, 8 * len(knots) + 1)
-    at, rate, bend = quintic(s)
-    at = np.clip(at, 0, 1)
-
-    def motion(curve: PiecewisePolynomial) -> tuple[np.ndarray, np.ndarray]:
-        """Returns velocity and acceleration if it took 1 s, (samples, …)."""
-        first, second = curve.derivative(1), curve.derivative(2)
-        d1 = np.array([first.value(x)[:, 0] for x in at])
-        d2 = np.array([second.value(x)[:, 0] for x in at])
-        return d1 * rate[:, None], (
-            d2 * rate[:, None] ** 2 + d1 * bend[:, None]
-        )
-
-    v, a = motion(joints)
-    v_tool, a_tool = motion(tool)
+    fastest = np.linalg.norm(v_tool, axis=1).max() / speed
+    hardest = np.linalg.norm(a_tool, axis=1).max() / tool_acceleration
     duration = _SPARE * max(
         shortest,
         float((np.abs(v) / limits.velocity).max()),
         float(np.sqrt((np.abs(a) / limits.acceleration).max())),
-        float(np.linalg.norm(v_tool, axis=1).max()) / speed,
-        float(
-            np.sqrt(np.linalg.norm(a_tool, axis=1).max() / tool_acceleration)
-        ),
+        float(fastest),
+        float(np.sqrt(hardest)),
     )
+    return _quintic(joints, begin, duration)
+
+
+def _spline(values: np.ndarray) -> PiecewisePolynomial:
+    """Returns a spline through (m, n) values, over [0, 1]."""
+    u = np.linspace(0, 1, max(len(values), 4))  # As few as it can do with.
+    given = np.linspace(0, 1, len(values))
+    rows = [np.interp(u, given, row) for row in values.T]
+    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        u, np.array(rows), False
+    )
+
+
+def _quintic(
+    curve: PiecewisePolynomial, begin: float, duration: float
+) -> PathParameterizedTrajectory:
+    """Returns a curve over [0, 1] gone along from rest to rest."""
     way = np.array([[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]])
     return PathParameterizedTrajectory(
-        joints, BezierCurve(begin, begin + duration, way)
+        curve, BezierCurve(begin, begin + duration, way)
     )

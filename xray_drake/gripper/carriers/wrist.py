@@ -1,13 +1,22 @@
 """Kinematics and paths of the Cartesian wrist."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame, ModelInstanceIndex
 from scipy.spatial.transform import Rotation
 
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
-from xray_drake.gripper.carriers.paths import Leg, Path, make_path
+from xray_drake.gripper.carriers.paths import Leg, Path, straight_path
+from xray_drake.gripper.models import (
+    JointLimits,
+    add_carrier,
+    joint_limits,
+    moving_joints,
+)
 from xray_drake.messages import Message
 
 JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -27,33 +36,21 @@ class Wrist(Message):
 
     Attributes:
         R_FT: (3, 3) orientation of the tool on the flange.
-        lower: (6,) lowest positions, m and rad.
-        upper: (6,) highest positions, m and rad.
-        velocity: (6,) highest speeds, m/s and rad/s.
-        acceleration: (6,) highest accelerations, m/s² and rad/s².
-        stiffness: (6,) of the position control, N/m and N·m/rad.
-        damping: (6,) of the position control, N·s/m and N·m·s/rad.
+        limits: of its six joints.
         mass: (3,) that each slide moves, the gripper included, kg.
+        home: (6,) joint positions in which it waits.
     """
 
     R_FT: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
+    limits: JointLimits
     mass: np.ndarray
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        return "wrist"
+    home: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    name: ClassVar[str] = "wrist"
 
     @property
     def highest(self) -> float:
         """The tool's origin is carried about no higher than this, m."""
-        return float(self.upper[_UP])
+        return float(self.limits.upper[_UP])
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Returns the 4×4 pose X_WT at joint positions (6,)."""
@@ -87,7 +84,8 @@ class Wrist(Message):
         q = np.array([*X_WT[:3, 3], yaw, pitch, roll])
         turn = q[[3, 5]] - near[[3, 5]]
         q[[3, 5]] -= 2 * np.pi * np.round(turn / (2 * np.pi))
-        beyond = (q < self.lower - 1e-9) | (q > self.upper + 1e-9)
+        lower, upper = self.limits.lower, self.limits.upper
+        beyond = (q < lower - 1e-9) | (q > upper + 1e-9)
         if beyond.any():
             names = ", ".join(np.array(JOINTS)[beyond])
             raise ReachError(f"out of the wrist's reach: {names}")
@@ -128,7 +126,7 @@ class Wrist(Message):
         q = np.array(q)
         X_WT = self.pose(q)
         q[:2] += place - (X_WT[:3, :3] @ p_T + X_WT[:3, 3])[:2]
-        q[:2] = np.clip(q[:2], self.lower[:2], self.upper[:2])
+        q[:2] = np.clip(q[:2], self.limits.lower[:2], self.limits.upper[:2])
         return q
 
     def force(self, tracking: Tracking) -> np.ndarray:
@@ -137,18 +135,65 @@ class Wrist(Message):
         What the slides' drives exert without what it takes to accelerate wrist
         and gripper, while the tool does not turn.
         """
-        effort = self.stiffness * (
-            tracking.q_desired - tracking.q
-        ) + self.damping * (tracking.v_desired - tracking.v)
-        return effort[:3] - self.mass * tracking.a_desired[:3]
+        effort = tracking.effort(self.limits)[:3]
+        return effort - self.mass * tracking.a_desired[:3]
 
     def path(
-        self, start: np.ndarray, legs: Sequence[Leg], begin: float
+        self,
+        start: np.ndarray,
+        legs: Sequence[Leg],
+        begin: float,
+        *,
+        acceleration: float = np.inf,
     ) -> Path:
         """Returns a path from rest to rest along legs, resting between them."""
-        return make_path(start, legs, begin, wrist=self)
+        slides = np.arange(len(start)) < 3
+        limits = self.limits
+        return straight_path(
+            start,
+            legs,
+            begin,
+            velocity=limits.velocity,
+            acceleration=np.minimum(
+                limits.acceleration, np.where(slides, acceleration, np.inf)
+            ),
+        )
 
-    def slowed(self, acceleration: float) -> "Wrist":
-        """Returns one whose slides accelerate no more than this, m/s²."""
-        limit = np.where(np.arange(6) < 3, acceleration, np.inf)
-        return replace(self, acceleration=np.minimum(self.acceleration, limit))
+
+def add_wrist(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
+    """Adds the wrist to a plant; returns it and its tool frame."""
+    return add_carrier(plant, "wrist.sdf", "wrist_base", np.eye(4))
+
+
+def make_wrist(
+    plant: MultibodyPlant,
+    instance: ModelInstanceIndex,
+    hand: ModelInstanceIndex,
+    X_WT: np.ndarray,
+) -> Wrist:
+    """Returns the kinematics of the wrist in a plant.
+
+    Args:
+        plant: holds it.
+        instance: the wrist.
+        hand: the gripper on it.
+        X_WT: 4×4 pose of the tool at home, m.
+
+    Raises:
+        ReachError: it cannot be at home.
+    """
+    tool = plant.GetFrameByName("tool", instance)
+    own = [
+        joint.child_body().default_mass()
+        for joint in moving_joints(plant, instance)
+    ]
+    held = [
+        plant.get_body(index).default_mass()
+        for index in plant.GetBodyIndices(hand)
+    ]
+    wrist = Wrist(
+        R_FT=tool.GetFixedPoseInBodyFrame().rotation().matrix(),
+        limits=joint_limits(plant, instance),
+        mass=(np.cumsum(own[::-1])[::-1] + sum(held))[:3],
+    )
+    return replace(wrist, home=wrist.joints(X_WT, near=wrist.home))
