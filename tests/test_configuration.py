@@ -299,8 +299,6 @@ def test_every_configuration_is_found() -> None:
         "GripperParameters",
         "DepthNoise",
         "LabelConfig",
-        "LookaheadConfig",
-        "MemoryConfig",
         "Augmentation",
         "PrepareConfig",
         "CameraConfig",

@@ -17,10 +17,11 @@ from collections.abc import Callable
 from typing import Any
 from weakref import WeakMethod
 
-from pydrake.common.value import AbstractValue
+from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
     Context,
     DependencyTicket,
+    InputPort,
     LeafOutputPort,
     LeafSystem,
     System,
@@ -54,6 +55,10 @@ class CollectableLeafSystem(LeafSystem):
             *map(_weak, args),
             **{name: _weak(value) for name, value in kwargs.items()},
         )
+
+    def declare_input(self, name: str, model: Any) -> InputPort:
+        """Declares an abstract input port that takes what ``model`` is."""
+        return self.DeclareAbstractInputPort(name, Value(model))
 
     def DeclareCacheEntry(
         self,

@@ -26,6 +26,9 @@ TARGET = "target"
 TARGET_SIZE = np.array([0.06, 0.03, 0.005])
 """10 × 5 pixels."""
 
+FLOOR = (-0.25, 0.25, -0.20, 0.20)
+"""Inside of the bin floor, m."""
+
 
 def overhead_camera() -> PinholeCamera:
     K = np.array([[FOCAL, 0, 63.5], [0, FOCAL, 47.5], [0, 0, 1]])

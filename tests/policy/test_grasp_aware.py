@@ -17,7 +17,7 @@ from tests.policy.blocks import (
 )
 from xray_drake.messages import Grasp, OccupancyDistribution
 from xray_drake.policy.beyond.chance import chance
-from xray_drake.policy.beyond.grasp_aware import GraspAware, GraspAwareConfig
+from xray_drake.policy.beyond.grasp_aware import GraspAware
 from xray_drake.policy.ranking import (
     Planning,
     Ranked,
@@ -116,7 +116,7 @@ def test_only_what_is_near_is_thought_away() -> None:
     thought_away = {gone for _, without in plan.asked for gone in without}
     assert thought_away == {"left", "right"}
     plan.asked.clear()
-    ranked(view(ALL, plan), GraspAware(config=GraspAwareConfig(candidates=1)))
+    ranked(view(ALL, plan), GraspAware(candidates=1))
     assert (TARGET, ("left",)) in plan.asked
     assert (TARGET, ("right",)) not in plan.asked
 
@@ -125,7 +125,7 @@ def test_where_none_helps_what_takes_the_place_goes_first() -> None:
     """Over the target, or where the fingers go; not what is merely large."""
     lid = Block("lid", 44, 60, 7, 6, 0.05)
     seen = view([*ALL, lid], planning({**GOOD, "lid": 0.9}))
-    room = GraspAwareConfig().finger * SCALE
+    room = GraspAware().finger * SCALE
     rows, columns = np.nonzero(SEEN.mask)
     places = dict.fromkeys(seen.candidates, 0.0)
     for name in ("left", "right", "far", "lid"):

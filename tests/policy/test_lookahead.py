@@ -22,10 +22,10 @@ from tests.policy.blocks import (
 )
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.policy.beyond.chance import USUAL, chance
-from xray_drake.policy.beyond.lookahead import Lookahead, LookaheadConfig
+from xray_drake.policy.beyond.lookahead import Lookahead
 from xray_drake.policy.ranking import Planning, SearchView, order, xray
 
-GREEDY = LookaheadConfig(beam=0)
+GREEDY = Lookahead(beam=0)
 SILHOUETTE = SCALE**2 * TARGET_SIZE[0] * TARGET_SIZE[1]
 
 SLAB = Block("slab", 20, 30, 30, 40, 0.01)
@@ -50,8 +50,8 @@ def names(seen: SearchView, lookahead: Lookahead) -> list[str]:
     return [c.name for c in order(seen, lookahead, rng)]
 
 
-def values(seen: SearchView, config: LookaheadConfig) -> dict[str, float]:
-    scores = Lookahead(config)(seen, np.random.default_rng(0))
+def values(seen: SearchView, config: Lookahead) -> dict[str, float]:
+    scores = config(seen, np.random.default_rng(0))
     return dict(zip(seen.candidates, scores.values[:, 0].tolist(), strict=True))
 
 
@@ -97,7 +97,7 @@ def test_it_expects_what_would_happen(
         {b.name: q for b, q in zip(blocks, qualities, strict=False)}
     )
     seen = view(blocks, plan)
-    config = LookaheadConfig(candidates=6, beam=6, second=6)
+    config = Lookahead(candidates=6, beam=6, second=6)
     chances = {block.name: chance(plan(block.name)) for block in blocks}
     gains = {b.name: chances[b.name] * expected(blocks, b)[0] for b in blocks}
     slow = {}
@@ -116,7 +116,7 @@ def test_it_expects_what_would_happen(
         if p == 0:
             slow[block.name] = 0.0
     assert values(seen, config) == pytest.approx(slow, rel=1e-5, abs=1e-3)
-    greedy = LookaheadConfig(candidates=6, beam=0)
+    greedy = Lookahead(candidates=6, beam=0)
     assert values(seen, greedy) == pytest.approx(gains, rel=1e-5, abs=1e-3)
 
 
@@ -125,15 +125,15 @@ def test_what_stands_on_something_large_lays_nothing_bare() -> None:
     seen = view([SLAB, CUP, BOX], good)
     by_xray = [c.name for c in order(seen, xray, np.random.default_rng(0))]
     assert by_xray == ["slab", "cup", "box"]
-    assert names(seen, Lookahead(GREEDY)) == ["slab", "box", "cup"]
+    assert names(seen, GREEDY) == ["slab", "box", "cup"]
     assert values(seen, GREEDY)["cup"] == 0.0
 
 
 def test_what_it_does_not_try_may_hide_the_target() -> None:
     seen = view([SLAB, CUP, BOX], planning({"slab": 1.0, "box": 1.0}))
-    config = LookaheadConfig(candidates=1, beam=0)
+    config = Lookahead(candidates=1, beam=0)
     assert values(seen, config)["box"] == 0.0
-    scores = Lookahead(config)(seen, np.random.default_rng(0))
+    scores = config(seen, np.random.default_rng(0))
     assert scores.hides.all()
 
 
@@ -144,14 +144,14 @@ def test_a_grasp_that_may_fail_is_worth_less() -> None:
         assert names(seen, Lookahead())[0] == strong
     seen = view([BOX, twin, SLAB], planning({"box": 0.3}))
     assert values(seen, GREEDY)["slab"] == 0.0
-    assert names(seen, Lookahead(GREEDY))[0] == "box"
+    assert names(seen, GREEDY)[0] == "box"
 
 
 def test_two_steps_ahead_it_frees_what_cannot_be_grasped_yet() -> None:
     good = {"cup": 1.0, "box": 1.0}
     for freed, first in (({("slab", "cup"): 1.0}, "cup"), ({}, "box")):
         seen = view([SLAB, CUP, BOX], planning(good, freed))
-        assert names(seen, Lookahead(GREEDY))[0] == "box"
+        assert names(seen, GREEDY)[0] == "box"
         assert names(seen, Lookahead())[0] == first
 
 
@@ -170,9 +170,7 @@ def test_it_asks_no_more_than_it_may() -> None:
     seen = view(blocks, plan)
     assert seen.outlook is not None
     seen = replace(seen, outlook=replace(seen.outlook, infer=infer))
-    Lookahead(LookaheadConfig(candidates=5, beam=2, second=3))(
-        seen, np.random.default_rng(0)
-    )
+    Lookahead(candidates=5, beam=2, second=3)(seen, np.random.default_rng(0))
     assert len(asked) == 5 + 2 * 3
 
 

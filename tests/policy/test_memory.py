@@ -1,6 +1,7 @@
 """What is remembered of earlier looks, by the laws of the bin."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from tests.occupancy.scenes import make_camera
 from tests.policy.blocks import (
     CAMERA_HEIGHT,
+    FLOOR,
     SCALE,
     TARGET,
     TARGET_SIZE,
@@ -21,7 +23,7 @@ from tests.policy.blocks import (
 )
 from xray_drake.messages import InstanceMasks
 from xray_drake.occupancy.geometric.flat import ExactInference
-from xray_drake.policy.beyond.memory import Belief, MemoryConfig, TargetMemory
+from xray_drake.policy.beyond.memory import Belief, TargetMemory
 from xray_drake.policy.beyond.shifts import Look
 from xray_drake.scene.targets import target_model
 
@@ -34,10 +36,10 @@ def remember(
     *looks: Look,
     lifted: str = "",
     slipped: str = "",
-    config: MemoryConfig | None = None,
+    **numbers: Any,
 ) -> Belief:
     """Returns the belief after looks; lifting comes before the last."""
-    memory = TargetMemory(TARGET_SIZE, config)
+    memory = TargetMemory(TARGET_SIZE, FLOOR, **numbers)
     belief = Belief()
     for i, seen in enumerate(looks):
         last = i == len(looks) - 1
@@ -47,7 +49,7 @@ def remember(
 
 
 def recalled_depth(belief: Belief) -> np.ndarray:
-    return TargetMemory(TARGET_SIZE).recall(belief, CAMERA)
+    return TargetMemory(TARGET_SIZE, FLOOR).recall(belief, CAMERA)
 
 
 def test_the_first_look_is_what_is_seen() -> None:
@@ -105,8 +107,7 @@ def test_a_target_that_stays_is_never_ruled_out(
 ) -> None:
     target, scenes = search
     looks = [look([target, *blocks]) for blocks in scenes]
-    config = MemoryConfig(share=share, drag=0.0, margin=0.0)
-    belief = remember(*looks, config=config)
+    belief = remember(*looks, share=share, drag=0.0, margin=0.0)
     assert not (belief.empty & target.mask).any()
 
 
@@ -130,7 +131,9 @@ def test_a_target_that_is_dragged_along_is_not_ruled_out(
     belief = remember(
         look([target, cover, far]),
         look([dragged, shadow, far, lid]),
-        config=MemoryConfig(share=share, drag=0.0, margin=0.0),
+        share=share,
+        drag=0.0,
+        margin=0.0,
     )
     assert not (belief.recalled & dragged.mask).any()
 
@@ -139,7 +142,7 @@ def test_the_more_it_may_be_dragged_the_less_is_remembered() -> None:
     looks = look([CUP, BOOK]), look([CUP.moved(3, 9), BOOK])
     sizes = []
     for share in (0.0, 0.25, 0.5, 1.0):
-        belief = remember(*looks, config=MemoryConfig(share=share))
+        belief = remember(*looks, share=share)
         sizes.append(np.count_nonzero(belief.recalled))
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] > sizes[1] > sizes[-1]
@@ -148,12 +151,12 @@ def test_the_more_it_may_be_dragged_the_less_is_remembered() -> None:
 def test_what_is_lifted_may_have_dragged_it() -> None:
     before, after = look([CUP, BOOK]), look([BOOK])
     free = remember(before, after, lifted="cup").recalled
-    drag = MemoryConfig().drag * SCALE
+    drag = TargetMemory.drag * SCALE
     rows, columns = np.nonzero(CUP.mask)
     for row, column in np.argwhere(remember(before).empty).tolist():
         away = np.hypot(rows - row, columns - column).min()
         # Its place and its margin, and so far around them.
-        margin = MemoryConfig().margin * SCALE
+        margin = TargetMemory.margin * SCALE
         if away <= drag:
             assert not free[row, column]
         elif away > drag + margin + 1.5:
@@ -197,8 +200,7 @@ def test_a_target_that_is_seen_to_move_moves_all_its_way() -> None:
     target, lid = target_block(40, 40), Block("lid", 36, 58, 14, 16)
     before, after = look([target, lid]), look([target.moved(0, 20), lid])
     assert not after.target.any()
-    config = MemoryConfig(drag=0.0, margin=0.0)
-    belief = remember(before, after, config=config)
+    belief = remember(before, after, drag=0.0, margin=0.0)
     assert not (belief.recalled & target.moved(0, 20).mask).any()
 
 
@@ -211,11 +213,10 @@ def test_a_target_that_slips_may_be_anywhere() -> None:
 
 def test_a_target_seen_where_it_should_not_be_is_believed() -> None:
     target = target_block(20, 90)
-    config = MemoryConfig(share=0.0, drag=0.0)
     before = look([CUP, BOOK])
     after = look([CUP, BOOK, target, Block("lid", 18, 95, 10, 12)])
     assert (remember(before).empty & target.mask).any()
-    belief = remember(before, after, config=config)
+    belief = remember(before, after, share=0.0, drag=0.0)
     assert not (belief.recalled & target.mask).any()
     assert belief.recalled[CUP.row - 5, CUP.column]  # far away it holds
 
@@ -250,7 +251,7 @@ def test_the_inference_excludes_what_is_remembered() -> None:
     """A plate hides a target on the floor, but not where the floor was seen."""
     camera = make_camera()
     target = target_model("box_2to1")
-    memory = TargetMemory(target.extents)
+    memory = TargetMemory(target.extents, FLOOR)
 
     def plates(*corners: tuple[int, int]) -> Look:
         depth = camera.plane_depth(0.0).astype(np.float32)
@@ -286,9 +287,7 @@ def test_names_that_do_not_last_are_not_needed() -> None:
         replace(after, name="segment_1"),
     ]
     first = [replace(CUP, name="segment_0"), replace(BOOK, name="segment_1")]
-    by_place = remember(
-        look(first), look(swapped), config=MemoryConfig(names_last=False)
-    )
+    by_place = remember(look(first), look(swapped), names_last=False)
     assert named.recalled.any()
     np.testing.assert_array_equal(by_place.recalled, named.recalled)
     mistaken = remember(look(first), look(swapped))

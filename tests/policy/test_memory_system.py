@@ -9,6 +9,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import ImageDepth32F
 
 from tests.policy.blocks import (
+    FLOOR,
     HEIGHT,
     TARGET_SIZE,
     WIDTH,
@@ -42,9 +43,11 @@ AFTER = look([CUP.moved(0, 40), BOOK])
 class Noting(TargetMemory):
     """Notes what it is told was touched."""
 
+    touched: list[dict[str, Any]]
+
     def __init__(self) -> None:
-        super().__init__(TARGET_SIZE)
-        self.touched: list[dict[str, Any]] = []
+        super().__init__(TARGET_SIZE, FLOOR)
+        object.__setattr__(self, "touched", [])
 
     def update(self, *args: Any, **touched: Any) -> Belief:
         self.touched.append(touched)
@@ -132,7 +135,7 @@ def test_after_an_action_it_adds_what_it_remembers(
     memory.advance()
     memory.see(AFTER)
     memory.act(1, GripperStatus(GripperMode.IDLE, 1, outcome))
-    expected = remembered(TargetMemory(TARGET_SIZE), **touched)
+    expected = remembered(TargetMemory(TARGET_SIZE, FLOOR), **touched)
     assert (expected != AFTER.depth).any()
     for _ in range(2):  # before it stores the look, and after
         np.testing.assert_array_equal(memory.depth(), expected)

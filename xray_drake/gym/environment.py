@@ -1,8 +1,7 @@
 """The search as a Gymnasium environment on Drake's own."""
 
-import copy
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,10 +11,9 @@ import numpy as np
 from gymnasium import spaces
 from pydrake.common import RandomGenerator
 from pydrake.common.value import AbstractValue
-from pydrake.geometry import Meshcat
 from pydrake.gym import DrakeGymEnv
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context
+from pydrake.systems.sensors import CameraConfig
 
 from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.faults import BREAKDOWNS, one_line
@@ -29,7 +27,6 @@ from xray_drake.messages import (
     Choice,
     GraspOptions,
     InstanceMasks,
-    OccupancyDistribution,
     Outcome,
 )
 from xray_drake.policy.system import PERIOD
@@ -139,62 +136,42 @@ class MechanicalSearchEnv(DrakeGymEnv):
         """
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario)
-        if isinstance(reward, str) and reward not in REWARDS:
-            raise ValueError(
-                f"no reward {reward!r}: choose one of {', '.join(REWARDS)}, or "
-                "give a function"
-            )
+        modes = self.metadata["render_modes"]
+        if isinstance(reward, str):
+            reward = _one_of(REWARDS, reward, "reward")
         if not 0 < gamma < 1:
             raise ValueError(f"gamma is {gamma}: it must be between 0 and 1")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(
-                f"no render mode {render_mode!r}: choose one of "
-                f"{', '.join(self.metadata['render_modes'])}"
-            )
-        self.scenario = scenario
-        self.gamma = gamma
-        self._reward = REWARDS[reward] if isinstance(reward, str) else reward
-        self._observe_occupancy = observe_occupancy
-        self._drop = drop
-        self._meshcat: Meshcat | None = None
-        if render_mode == "human":
-            self._meshcat = start_meshcat()
+        if render_mode is not None:
+            _one_of({mode: mode for mode in modes}, render_mode, "render mode")
         number = scenario.scene.random_number
-        most = number.most if number.mean > 0 else scenario.scene.num_objects
-        num_actions = most + 1
-        camera = scenario.camera
-        shape = camera.height, camera.width
-        images: dict[str, spaces.Space] = {
-            "depth": spaces.Box(0.0, camera.z_far, shape, np.float32),
-            "target_mask": spaces.Box(0, 1, shape, np.uint8),
-            "instances": spaces.Box(-1, num_actions - 1, shape, np.int16),
-            "action_mask": spaces.MultiBinary(num_actions),
-        }
-        if observe_occupancy:
-            images["occupancy"] = spaces.Box(0.0, 1.0, shape, np.float32)
-            images["support"] = spaces.Box(0, 1, shape, np.uint8)
+        num_actions = 1 + (
+            number.most if number.mean > 0 else scenario.scene.num_objects
+        )
+        observation_space = _observation_space(
+            scenario.camera, num_actions, with_occupancy=observe_occupancy
+        )
+        name = scenario.camera.name
         # Drake's constructor writes modes of its own into what it finds here.
-        self.metadata = copy.deepcopy(self.metadata)  # type: ignore[misc]
+        self.metadata = dict(self.metadata)  # type: ignore[misc]
         super().__init__(
             self._make_simulator,
             time_step=PERIOD,
             action_space=spaces.Discrete(num_actions),
-            observation_space=spaces.Dict(images),
+            observation_space=observation_space,
             reward=lambda system, context: self._rewards[-1],
             action_port_id="search_policy.choice",
-            observation_port_id=f"{camera.name}.depth_image",
-            render_rgb_port_id=f"{camera.name}.color_image",
+            observation_port_id=f"{name}.depth_image",
+            render_rgb_port_id=f"{name}.color_image",
         )
         del self.metadata
         self.render_mode = render_mode
-        self._seed = 0
-        self._slice = 0
-        self._names: tuple[str, ...] = ()
-        self._valid = np.zeros(num_actions, np.int8)
-        self._rewards: list[float] = []
-        self._state = SearchState(0, 0.0)
-        self._observation: dict[str, np.ndarray] = {}
+        self.scenario = scenario
+        self.gamma = gamma
+        self._reward = REWARDS[reward] if isinstance(reward, str) else reward
+        self._drop = drop
+        self._meshcat = start_meshcat() if render_mode == "human" else None
         self._monitor: SearchMonitor | None = None
+        self._valid = np.zeros(num_actions, np.int8)
 
     @property
     def monitor(self) -> SearchMonitor:
@@ -240,10 +217,10 @@ class MechanicalSearchEnv(DrakeGymEnv):
         self._setup()
         self.simulator.Initialize()
         self._slice = 0
-        self._rewards = []
+        self._rewards: list[float] = []
         self._observation = self._observe()
         self._state = self._look()
-        return self._fresh(), self._info()
+        return self._answer()
 
     def step(
         self, action: int | np.integer
@@ -282,8 +259,9 @@ class MechanicalSearchEnv(DrakeGymEnv):
         except BREAKDOWNS as error:
             record.end = "error"
             self._rewards.append(0.0)
-            info = self._info() | {"valid": valid, "error": one_line(error)}
-            return self._fresh(), 0.0, False, True, info
+            observation, info = self._answer()
+            said = {"valid": valid, "error": one_line(error)}
+            return observation, 0.0, False, True, info | said
         before = self._state
         self._observation = self._observe()
         self._state = self._look()
@@ -292,12 +270,19 @@ class MechanicalSearchEnv(DrakeGymEnv):
         truncated = record.end == "horizon"
         terminated = bool(record.end) and not truncated
         last = record.actions[-1]
-        info = self._info() | {
-            "valid": valid,
-            "object": last.object,
-            "outcome": last.outcome.value,
-        }
-        return self._fresh(), reward, terminated, truncated, info
+        observation, info = self._answer()
+        return (
+            observation,
+            reward,
+            terminated,
+            truncated,
+            info
+            | {
+                "valid": valid,
+                "object": last.object,
+                "outcome": last.outcome.value,
+            },
+        )
 
     def render(self) -> np.ndarray | None:
         """Shows the heap in Meshcat, or returns the (H, W, 3) uint8 picture."""
@@ -360,36 +345,29 @@ class MechanicalSearchEnv(DrakeGymEnv):
 
     def _eval(self, port: str) -> Any:
         diagram: SearchDiagram = self.simulator.get_system()
-        return diagram.GetOutputPort(port).Eval(self._context)
-
-    @property
-    def _context(self) -> Context:
-        return self.simulator.get_context()
+        context = self.simulator.get_context()
+        return diagram.GetOutputPort(port).Eval(context)
 
     def _observe(self) -> dict[str, np.ndarray]:
-        camera = self.scenario.camera
-        depth = np.array(self._eval(f"{camera.name}.depth_image").data[:, :, 0])
+        name = self.scenario.camera.name
+        depth = np.array(self._eval(f"{name}.depth_image").data[:, :, 0])
         depth[~np.isfinite(depth)] = 0.0
         mask = self._eval("target_detector.target_mask").data
         labels = self._number(self._eval("instance_segmenter.instances"))
         options = GraspOptions()
         if self.monitor.record.end in ("", "horizon"):
             options = self._eval("search_policy.options")
-        self._valid = np.array(
-            [
-                i < len(self._names) and self._names[i] in options.valid
-                for i in range(self.action_space.n)
-            ],
-            np.int8,
-        )
+        valid = [name in options.valid for name in self._names]
+        self._valid = np.zeros(self.action_space.n, np.int8)
+        self._valid[: len(valid)] = valid[: self.action_space.n]
         observation = {
             "depth": depth,
             "target_mask": mask.astype(np.uint8),
             "instances": labels,
             "action_mask": self._valid,
         }
-        if self._observe_occupancy:
-            rho = self._occupancy()
+        if "occupancy" in self.observation_space.spaces:
+            rho = self._eval("occupancy_inference.occupancy")
             observation["occupancy"] = np.array(rho.data)
             observation["support"] = rho.support().astype(np.uint8)
         return observation
@@ -403,29 +381,23 @@ class MechanicalSearchEnv(DrakeGymEnv):
         number_of[ranks] = np.arange(len(ranks))
         return number_of[instances.labels]
 
-    def _occupancy(self) -> OccupancyDistribution:
-        return self._eval("occupancy_inference.occupancy")
-
     def _look(self) -> SearchState:
         """Returns what the rewards look at."""
         if self.monitor.record.success:
             return SearchState(0, 1.0, success=True)
         diagram: SearchDiagram = self.simulator.get_system()
-        name = self.scenario.camera.name
+        labels = self._eval(f"{self.scenario.camera.name}.label_image")
         view = target_view(
-            self._eval(f"{name}.label_image").data[:, :, 0],
-            self.monitor.amodal_mask(self._context),
+            labels.data[:, :, 0],
+            self.monitor.amodal_mask(self.simulator.get_context()),
             diagram.station.labels,
             diagram.heap.target.name,
         )
-        support = self._occupancy().support_size()
-        return SearchState(support, view.visible_fraction)
+        rho = self._eval("occupancy_inference.occupancy")
+        return SearchState(rho.support_size(), view.visible_fraction)
 
-    def _fresh(self) -> dict[str, np.ndarray]:
-        """Returns a copy: what is given away may be changed."""
-        return {key: value.copy() for key, value in self._observation.items()}
-
-    def _info(self) -> dict[str, Any]:
+    def _answer(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Returns observation and info; what is given away may be changed."""
         record = self.monitor.record
         info: dict[str, Any] = {
             "seed": self._seed,
@@ -439,4 +411,29 @@ class MechanicalSearchEnv(DrakeGymEnv):
             info["record"] = record.to_dict()
             for action in info["record"]["actions"]:
                 del action["seconds"]
-        return info
+        observation = {k: v.copy() for k, v in self._observation.items()}
+        return observation, info
+
+
+def _one_of(table: Mapping[str, Any], name: str, what: str) -> Any:
+    if name not in table:
+        raise ValueError(
+            f"no {what} {name!r}: choose one of {', '.join(table)}"
+        )
+    return table[name]
+
+
+def _observation_space(
+    camera: CameraConfig, num_actions: int, *, with_occupancy: bool
+) -> spaces.Dict:
+    shape = camera.height, camera.width
+    images: dict[str, spaces.Space] = {
+        "depth": spaces.Box(0.0, camera.z_far, shape, np.float32),
+        "target_mask": spaces.Box(0, 1, shape, np.uint8),
+        "instances": spaces.Box(-1, num_actions - 1, shape, np.int16),
+        "action_mask": spaces.MultiBinary(num_actions),
+    }
+    if with_occupancy:
+        images["occupancy"] = spaces.Box(0.0, 1.0, shape, np.float32)
+        images["support"] = spaces.Box(0, 1, shape, np.uint8)
+    return spaces.Dict(images)

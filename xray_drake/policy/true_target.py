@@ -41,20 +41,15 @@ class TrueTargetMask(CollectableLeafSystem):
         self._vertices = target.visual.vertices
         self._faces = target.visual.faces
         self._body = body
-        self._poses = self.DeclareAbstractInputPort(
-            "body_poses", Value([RigidTransform()])
-        )
-        self._camera = self.DeclareAbstractInputPort(
-            "camera", Value(PinholeCamera(1, 1, np.eye(3), np.eye(4)))
+        self._poses = self.declare_input("body_poses", [RigidTransform()])
+        self._camera = self.declare_input(
+            "camera", PinholeCamera(1, 1, np.eye(3), np.eye(4))
         )
         self.DeclareAbstractOutputPort(
             "target_mask",
             alloc=lambda: Value(TargetMask()),
             calc=self._calc_mask,
-            prerequisites_of_calc={
-                self._poses.ticket(),
-                self._camera.ticket(),
-            },
+            prerequisites_of_calc={self.all_input_ports_ticket()},
         )
 
     def _calc_mask(self, context: Context, output: AbstractValue) -> None:

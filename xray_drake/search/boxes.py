@@ -20,7 +20,7 @@ from xray_drake.perception.systems import (
     GroundTruthInstanceSegmenter,
     GroundTruthTargetDetector,
 )
-from xray_drake.policy.beyond.memory import MemoryConfig, TargetMemory
+from xray_drake.policy.beyond.memory import TargetMemory
 from xray_drake.policy.beyond.memory_system import SearchMemory
 from xray_drake.policy.choice_system import ChoicePolicy
 from xray_drake.policy.ranking import largest
@@ -222,10 +222,8 @@ def _memory(inside: SearchParts) -> TargetMemory:
     perception = inside.scenario.perception
     return TargetMemory(
         size_in_any_pose(inside.heap.target),
-        MemoryConfig(
-            floor=perception.exact.floor,
-            names_last=perception.segmenter != "depth",
-        ),
+        perception.exact.floor,
+        names_last=perception.segmenter != "depth",
     )
 
 

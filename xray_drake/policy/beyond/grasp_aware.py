@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from xray_drake.configuration import count, number
 from xray_drake.policy.beyond.chance import chance
 from xray_drake.policy.ranking import (
     Outlook,
@@ -17,24 +16,7 @@ from xray_drake.policy.ranking import (
 )
 
 
-@dataclass
-class GraspAwareConfig:
-    """Which objects may be in the gripper's way."""
-
-    # Objects seen within this distance of the target, m: so far the gripper
-    # reaches from its grasp to any side.
-    reach: float = number(0.06, "[0, 1]")
-    # Of these, so many are thought away, the nearest first.
-    candidates: int = count(6, "[0, 1000]")
-    # Room for a finger beside the target, m.
-    finger: float = number(0.02, "[0, 1]")
-    # The target probably is where the distribution is above this.
-    probable: float = number(0.5, "[0, 1]")
-    # What a pixel of a finger's room counts; one of the target's place counts
-    # as the distribution says.
-    room: float = number(0.5, "[0, 100]")
-
-
+@dataclass(frozen=True)
 class GraspAware:
     """Scores objects by the grasp on the target that their removal allows.
 
@@ -49,21 +31,25 @@ class GraspAware:
     says hides the target, is worth a weak grasp.
 
     While the target is not a candidate, another ranking decides.
+
+    Attributes:
+        search: decides then.
+        reach: objects seen within this distance of the target can be in the
+            way, m: so far the gripper reaches from its grasp to any side.
+        candidates: of these, so many are hypothetically removed, the nearest
+            first.
+        finger: clearance for a finger beside the target, m.
+        probable: the target probably is where the distribution is above this.
+        room: what a pixel of a finger's clearance counts; one of the target's
+            place counts as the distribution says.
     """
 
-    def __init__(
-        self,
-        search: Ranking = xray,
-        config: GraspAwareConfig | None = None,
-    ) -> None:
-        """Sets the numbers.
-
-        Args:
-            search: decides while the target is not a candidate.
-            config: the numbers.
-        """
-        self._search = search
-        self.config = config or GraspAwareConfig()
+    search: Ranking = xray
+    reach: float = 0.06
+    candidates: int = 6
+    finger: float = 0.02
+    probable: float = 0.5
+    room: float = 0.5
 
     def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
         """Scores the candidates; see :class:`Ranking`.
@@ -74,7 +60,7 @@ class GraspAware:
         if view.outlook is None or view.plan is None:
             raise ValueError("grasp_aware needs an outlook and a planner")
         if view.target not in view.candidates:
-            return self._search(view, rng)
+            return self.search(view, rng)
         values = self._values(view, view.outlook, view.plan)
         places = self._places(view, view.outlook)
         own = np.array(
@@ -102,10 +88,10 @@ class GraspAware:
         near = [
             name
             for name in sorted(distances, key=lambda name: distances[name])
-            if distances[name] <= self.config.reach * outlook.camera.floor_scale
+            if distances[name] <= self.reach * outlook.camera.floor_scale
         ]
         values = {}
-        for name in near[: self.config.candidates]:
+        for name in near[: self.candidates]:
             first = chance(plan(name))
             then = chance(plan(target, without=(name,))) if first > 0 else 0.0
             if then > 0:
@@ -114,11 +100,10 @@ class GraspAware:
 
     def _places(self, view: SearchView, outlook: Outlook) -> dict[str, float]:
         """Returns how much of target's and fingers' places each takes."""
-        config = self.config
         rho = view.occupancy.supported()
-        probable = (rho > config.probable) | outlook.target_mask
-        room = _distance(probable) <= config.finger * outlook.camera.floor_scale
-        places = np.maximum(rho, config.room * room)
+        probable = (rho > self.probable) | outlook.target_mask
+        room = _distance(probable) <= self.finger * outlook.camera.floor_scale
+        places = np.maximum(rho, self.room * room)
         return {
             name: float(places[view.instances.mask(name)].sum(dtype=float))
             * (name != view.target)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xray_drake.configuration import count, number
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.policy.beyond.chance import USUAL, chance
 from xray_drake.policy.ranking import (
@@ -19,26 +18,7 @@ from xray_drake.policy.ranking import (
 from xray_drake.policy.removal import Removal
 
 
-@dataclass
-class LookaheadConfig:
-    """How far, and how broadly, it looks ahead."""
-
-    # Objects whose removal is imagined: those with the most of the distribution
-    # under them. One without any cannot shrink the support.
-    candidates: int = count(6, "[1, 1000]")
-    # Objects after whose removal a second is imagined, the most promising
-    # first; 0 looks one step ahead.
-    beam: int = count(2, "[0, 1000]")
-    # Second objects tried after each.
-    second: int = count(3, "[0, 1000]")
-    # What counts a decrease at the second step: of the supports after each of
-    # two steps, the first makes both smaller and the second one.
-    later: float = number(0.5, "[0, 1]")
-    # A surface lower than this share of the target's thickness shows that the
-    # target is not there.
-    low: float = number(0.5, "[0, 1]")
-
-
+@dataclass(frozen=True)
 class Lookahead:
     """Scores objects by the expected decrease of the support.
 
@@ -55,11 +35,26 @@ class Lookahead:
     A target that can be grasped ends the search: it alone is scored then, by
     the whole support. Ties, and objects that are not tried, are ranked by
     X-Ray.
+
+    Attributes:
+        candidates: objects whose removal is imagined: those with the most of
+            the distribution under them. One without any cannot shrink the
+            support.
+        beam: objects after whose removal a second is imagined, the most
+            promising first; 0 looks one step ahead.
+        second: second objects tried after each.
+        later: what counts a decrease at the second step, in [0, 1]: of the
+            supports after each of two steps, the first makes both smaller and
+            the second one.
+        low: a surface lower than this share of the target's thickness shows
+            that the target is not there.
     """
 
-    def __init__(self, config: LookaheadConfig | None = None) -> None:
-        """Sets the numbers."""
-        self.config = config or LookaheadConfig()
+    candidates: int = 6
+    beam: int = 2
+    second: int = 3
+    later: float = 0.5
+    low: float = 0.5
 
     def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
         """Scores the candidates; see :class:`Ranking`.
@@ -84,17 +79,16 @@ class Lookahead:
     def _values(
         self, view: SearchView, outlook: Outlook, plan: Planning
     ) -> dict[str, float]:
-        config = self.config
         now = _Imagined(outlook, outlook.depth, view.occupancy)
         masks = {
             name: view.instances.mask(name)
             for name in view.candidates
             if name != view.target
         }
-        tried = now.promising(masks)[: config.candidates]
+        tried = now.promising(masks)[: self.candidates]
         chances = {name: chance(plan(name)) for name in tried}
         removals = {
-            name: now.without(masks[name], config.low)
+            name: now.without(masks[name], self.low)
             for name in tried
             if chances[name] > 0
         }
@@ -103,10 +97,10 @@ class Lookahead:
             for name, removal in removals.items()
         }
         values = dict(gains)
-        for name in _most_first(gains)[: config.beam]:
+        for name in _most_first(gains)[: self.beam]:
             # Where the grasp fails, the best of the others is next.
             others = [gains[other] for other in gains if other != name]
-            values[name] += config.later * (
+            values[name] += self.later * (
                 chances[name]
                 * self._following(removals[name], masks, name, chances, plan)
                 + (1 - chances[name]) * max(others, default=0.0)
@@ -128,11 +122,11 @@ class Lookahead:
         left = {name: mask for name, mask in masks.items() if name != gone}
         after = removal.after
         best = 0.0
-        for name in after.promising(left)[: self.config.second]:
+        for name in after.promising(left)[: self.second]:
             then = chances.get(name, USUAL)
             then = then or chance(plan(name, without=(gone,)))
             if then > 0:
-                decrease = after.without(left[name], self.config.low).decrease
+                decrease = after.without(left[name], self.low).decrease
                 best = max(best, then * decrease)
         hidden = 1 - removal.revealed
         return hidden * best + removal.revealed * USUAL * after.least

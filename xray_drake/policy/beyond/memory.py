@@ -5,12 +5,12 @@ objects shift into previously free space, the distribution will not cover that
 area" (section VI).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor, observed_heights
 from xray_drake.geometry.readings import depth_readings
@@ -26,34 +26,6 @@ _LEAST_ROOM = 0.5
 """Share of the target's area that must be left for it."""
 
 
-@dataclass
-class MemoryConfig:
-    """How a memory holds and lets go."""
-
-    # A depth that changes by less has not changed, m.
-    noise: float = number(0.002, "[0, 0.1]")
-    # What changed in fewer pixels has not moved.
-    least_pixels: int = count(8, "[0, 1000000]")
-    # A thing that moves may drag the target over this share of its way. At 1
-    # nothing is remembered but where nothing has moved: what a thing that
-    # slides or topples covers is never farther from where it was than its way.
-    # But it does not drag a flat target by friction, since the floor holds that
-    # at least as well; it must hook or push it.
-    share: float = number(0.25, "[0, 1]")
-    # A thing that is lifted may drag it this far though nothing else moves, m.
-    drag: float = number(0.01, "[0, 1]")
-    # Around what was not seen empty, so much is not taken for empty, m.
-    margin: float = number(0.003, "[0, 0.1]")
-    # Where a surface lower than this share of the target's thickness is seen,
-    # the target is not.
-    low: float = number(0.5, "[0, 1]")
-    # Instances have the same names at every look; else they are known by their
-    # places.
-    names_last: bool = True
-    # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = bin_floor()
-
-
 @dataclass(frozen=True, eq=False)
 class Belief(Message):
     """What is known after a look.
@@ -62,11 +34,13 @@ class Belief(Message):
         look: the look.
         recalled: (H, W) bool: the target is not here, by earlier looks.
         empty: (H, W) bool: the target is not here, by all looks.
+        number: actions that had been done when it was formed; −1 for none.
     """
 
     look: Look = field(default_factory=Look)
     recalled: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
     empty: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    number: int = -1
 
     def __post_init__(self) -> None:
         for name in ("recalled", "empty"):
@@ -75,6 +49,7 @@ class Belief(Message):
             object.__setattr__(self, name, array)
 
 
+@dataclass(frozen=True, eq=False)
 class TargetMemory:
     """Keeps what was once seen free of the target, until it may have moved.
 
@@ -96,19 +71,39 @@ class TargetMemory:
     image *as remembered*, the floor takes the place of whatever covers what is
     known to be empty. A pose that needs such a pixel is then excluded as it
     would be if the floor were still seen.
+
+    It keeps no state of its own.
+
+    Attributes:
+        target_size: (3,) length, width, thickness of the target, m.
+        floor: inside of the bin floor: x low, x high, y low, y high, m.
+        noise: a depth that changes by less has not changed, m.
+        least_pixels: what changed in fewer has not moved.
+        share: a thing that moves may drag the target over this share of its
+            way. At 1 nothing is remembered but where nothing has moved: what a
+            thing that slides or topples covers is never farther from where it
+            was than its way. But it does not drag a flat target by friction,
+            since the floor holds that at least as well; it must hook or push
+            it.
+        drag: a thing that is lifted may drag it this far though nothing else
+            moves, m.
+        margin: around what was not seen empty, so much is not taken for empty,
+            m.
+        low: where a surface lower than this share of the target's thickness is
+            seen, the target is not.
+        names_last: instances have the same names at every look; else they are
+            known by their places.
     """
 
-    def __init__(
-        self, target_size: np.ndarray, config: MemoryConfig | None = None
-    ) -> None:
-        """Prepares the memory; it keeps no state of its own.
-
-        Args:
-            target_size: (3,) length, width, thickness of the target, m.
-            config: the numbers.
-        """
-        self.config = config or MemoryConfig()
-        self._size = np.asarray(target_size, dtype=float)
+    target_size: np.ndarray
+    floor: Sequence[float]
+    noise: float = 0.002
+    least_pixels: int = 8
+    share: float = 0.25
+    drag: float = 0.01
+    margin: float = 0.003
+    low: float = 0.5
+    names_last: bool = True
 
     def update(
         self,
@@ -139,13 +134,12 @@ class TargetMemory:
             },
             camera,
         )
-        config = self.config
         scale = camera.floor_scale
-        reach = _REACH * scale * float(np.hypot(*self._size[:2]))
+        reach = _REACH * scale * float(np.hypot(*self.target_size[:2]))
         heights = observed_heights(
             depth_readings(look.depth, camera), camera, 0.0
         )
-        low = (heights > -np.inf) & (heights < config.low * self._size[2])
+        low = (heights > -np.inf) & (heights < self.low * self.target_size[2])
         low &= ~look.target
         floor = self._floor(camera)
 
@@ -157,11 +151,11 @@ class TargetMemory:
             if (recalled & look.target).any():
                 recalled &= ~_near(look.target, reach)
             room = np.count_nonzero(floor & ~recalled & ~low)
-            area = scale**2 * self._size[0] * self._size[1]
+            area = scale**2 * self.target_size[0] * self.target_size[1]
             if room < _LEAST_ROOM * area:
                 recalled = np.zeros(camera.shape, dtype=bool)
 
-        seen = floor & low & ~_near(~low, config.margin * scale)
+        seen = floor & low & ~_near(~low, self.margin * scale)
         if look.target.any():
             seen |= floor & ~_near(look.target, reach)
         return Belief(look, recalled, recalled | seen)
@@ -187,9 +181,8 @@ class TargetMemory:
         slipped: str,
     ) -> np.ndarray:
         """Returns what was empty, without where the target can have come."""
-        config = self.config
         before = belief.look
-        if not config.names_last:
+        if not self.names_last:
             instances = renamed(before.instances, look.instances, gone=lifted)
             look = replace(look, instances=instances)
         shifts = shifts_seen(
@@ -197,8 +190,8 @@ class TargetMemory:
             look,
             scale,
             lifted=lifted,
-            noise=config.noise,
-            least_pixels=config.least_pixels,
+            noise=self.noise,
+            least_pixels=self.least_pixels,
         )
         target = {before.target_name, look.target_name} - {""}
         if target & {lifted, slipped}:
@@ -206,12 +199,12 @@ class TargetMemory:
         ways = []
         for shift in shifts:
             # The target itself moves all its way.
-            share = 1.0 if shift.name in target else config.share
+            share = 1.0 if shift.name in target else self.share
             ways.append((shift.where, share * shift.distance))
         for name in (lifted, slipped):
             if name in before.instances.names:
                 where = before.instances.mask(name)
-                ways.append((where, config.drag * scale))
+                ways.append((where, self.drag * scale))
         still = belief.empty.copy()
         possible = floor & ~belief.empty
         for where, distance in ways:
@@ -220,7 +213,7 @@ class TargetMemory:
 
     def _floor(self, camera: PinholeCamera) -> np.ndarray:
         """Returns the (H, W) bool pixels whose rays meet the bin floor."""
-        x_low, x_high, y_low, y_high = self.config.floor
+        x_low, x_high, y_low, y_high = self.floor
         floor = Floor((x_low, x_high), (y_low, y_high))
         p_W = camera.unproject(camera.plane_depth(0.0))[..., :2]
         planes = floor.half_planes(0.0)

@@ -1,6 +1,6 @@
 """The LeafSystem that remembers where the target is not."""
 
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -17,7 +17,6 @@ from xray_drake.messages import (
     GripperMode,
     GripperStatus,
     InstanceMasks,
-    Message,
     Outcome,
     SearchAction,
     TargetMask,
@@ -25,14 +24,6 @@ from xray_drake.messages import (
 from xray_drake.policy.beyond.memory import Belief, TargetMemory
 from xray_drake.policy.beyond.shifts import Look
 from xray_drake.policy.system import PERIOD
-
-
-@dataclass(frozen=True, eq=False)
-class _Remembered(Message):
-    """A belief, and how many actions had been done when it was formed."""
-
-    belief: Belief = field(default_factory=Belief)
-    number: int = -1
 
 
 class SearchMemory(CollectableLeafSystem):
@@ -79,33 +70,22 @@ class SearchMemory(CollectableLeafSystem):
         self.set_name("search_memory")
         self._memory = memory
         camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
-        self._depth_image = self.DeclareAbstractInputPort(
-            "depth_image", Value(ImageDepth32F(width, height))
+        self._depth_image, self._target_mask, self._instances = (
+            self.declare_input("depth_image", ImageDepth32F(width, height)),
+            self.declare_input("target_mask", TargetMask()),
+            self.declare_input("instances", InstanceMasks()),
         )
-        self._target_mask = self.DeclareAbstractInputPort(
-            "target_mask", Value(TargetMask())
-        )
-        self._instances = self.DeclareAbstractInputPort(
-            "instances", Value(InstanceMasks())
-        )
-        self._camera = self.DeclareAbstractInputPort("camera", Value(camera))
-        self._action = self.DeclareAbstractInputPort(
-            "action", Value(SearchAction())
-        )
-        self._status = self.DeclareAbstractInputPort(
-            "status", Value(GripperStatus())
-        )
-        self._state = self.DeclareAbstractState(Value(_Remembered()))
+        self._camera = self.declare_input("camera", camera)
+        self._action = self.declare_input("action", SearchAction())
+        self._status = self.declare_input("status", GripperStatus())
+        self._state = self.DeclareAbstractState(Value(Belief()))
         self._belief = self.DeclareCacheEntry(
             description="belief after this look",
             allocate=lambda: Value(Belief()),
             calc=self._calc_belief,
             prerequisites_of_calc={
                 self.abstract_state_ticket(self._state),
-                *(
-                    self.get_input_port(i).ticket()
-                    for i in range(self.num_input_ports())
-                ),
+                self.all_input_ports_ticket(),
             },
         )
         self.DeclareAbstractOutputPort(
@@ -122,12 +102,10 @@ class SearchMemory(CollectableLeafSystem):
         )
 
     def _calc_belief(self, context: Context, output: AbstractValue) -> None:
-        before: _Remembered = context.get_abstract_state(
-            self._state
-        ).get_value()
+        before: Belief = context.get_abstract_state(self._state).get_value()
         status: GripperStatus = self._status.Eval(context)
         if status.number == before.number:
-            output.set_value(before.belief)
+            output.set_value(before)
             return
         action: SearchAction = self._action.Eval(context)
         touched = {"lifted": "", "slipped": ""}
@@ -141,11 +119,10 @@ class SearchMemory(CollectableLeafSystem):
         look = Look(
             image.data[:, :, 0], mask.data, self._instances.Eval(context)
         )
-        output.set_value(
-            self._memory.update(
-                before.belief, look, self._camera.Eval(context), **touched
-            )
+        belief = self._memory.update(
+            before, look, self._camera.Eval(context), **touched
         )
+        output.set_value(replace(belief, number=status.number))
 
     def _calc_depth(self, context: Context, output: AbstractValue) -> None:
         belief: Belief = self._belief.Eval(context)
@@ -155,9 +132,7 @@ class SearchMemory(CollectableLeafSystem):
         )
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        before: _Remembered = context.get_abstract_state(
-            self._state
-        ).get_value()
+        before: Belief = context.get_abstract_state(self._state).get_value()
         status: GripperStatus = self._status.Eval(context)
         action: SearchAction = self._action.Eval(context)
         waiting = (
@@ -167,6 +142,6 @@ class SearchMemory(CollectableLeafSystem):
         if waiting or status.number == before.number:
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(self._state).set_value(
-            _Remembered(self._belief.Eval(context), status.number)
+            self._belief.Eval(context)
         )
         return EventStatus.Succeeded()
