@@ -4,8 +4,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.scene.library import make_object, object_names
-from xray_drake.scene.likeness import (
+from tests.scene.likeness import (
     BOUND,
     ROTATIONS,
     Catalogue,
@@ -13,6 +12,7 @@ from xray_drake.scene.likeness import (
     likeness,
     surface_points,
 )
+from xray_drake.scene.library import make_object, object_names
 from xray_drake.splits import SPLITS
 
 BRICK = trimesh.creation.box((0.08, 0.05, 0.02))
@@ -107,7 +107,7 @@ def test_the_catalogue_finds_what_trying_all_finds() -> None:
 
 
 def test_no_two_objects_of_a_sample_are_alike() -> None:
-    """All of them: ``python -m xray_drake.scene.likeness``."""
+    """All of them: ``python -m tests.scene.likeness``."""
     names = [name for split in SPLITS for name in object_names(split=split)]
     # Neighbours in a family are the most alike: some of these, and others.
     sample = names[5:9] + names[400:404] + names[::60]

@@ -10,7 +10,7 @@ twentieth of the mean radius. A shape is at some 0.02 from another sample of
 itself.
 
 Every object of the library, of whatever split, is farther than ``BOUND`` from
-every other. ``python -m xray_drake.scene.likeness`` measures all of them;
+every other. ``python -m tests.scene.likeness`` measures all of them;
 ``--write`` draws the table ``families/draws.json`` again.
 """
 
@@ -27,7 +27,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from xray_drake.kernels import kernel
-from xray_drake.scene import library
+from xray_drake.scene import families, library
 from xray_drake.scene.families import (
     FAMILIES,
     TEST_FAMILIES,
@@ -50,7 +50,7 @@ PATIENCE = 10
 FIRST_MEMBERS = 12
 """Of each family these are drawn before any more of another."""
 
-TABLE = Path(__file__).parent / "families" / "draws.json"
+TABLE = Path(families.__file__).parent / "draws.json"
 
 _CELL, _HALF = 0.15, 16
 _SIDE = 2 * _HALF + 1
@@ -206,20 +206,9 @@ class Catalogue:
 
     names: list[str] = field(default_factory=list)
     shapes: list[Likeness] = field(default_factory=list)
-    _stack: list[np.ndarray] = field(default_factory=list)
 
     def add(self, name: str, shape: Likeness) -> None:
         """Puts a shape at the end."""
-        count = len(self.names)
-        parts = (shape.cells[:, :, :1], shape.slack[:, :, :1], shape.field)
-        if not self._stack or count == len(self._stack[0]):
-            room = max(64, 2 * count)
-            grown = [np.zeros((room, *p.shape), dtype=p.dtype) for p in parts]
-            for new, old in zip(grown, self._stack, strict=False):
-                new[:count] = old
-            self._stack = grown
-        for array, part in zip(self._stack, parts, strict=True):
-            array[count] = part
         self.names.append(name)
         self.shapes.append(shape)
 
@@ -242,21 +231,19 @@ class Catalogue:
         Returns:
             The distance and the name; ``limit`` and "" where there is none.
         """
-        count = len(self.names)
-        if not count:
+        if not self.shapes:
             return limit, ""
-        cells, slack, field = (array[:count] for array in self._stack)
         bounds = _least_bounds(
             shape.cells[:, :, :1],
             shape.slack[:, :, :1],
             shape.field,
-            cells,
-            slack,
-            field,
+            np.stack([other.cells[:, :, :1] for other in self.shapes]),
+            np.stack([other.slack[:, :, :1] for other in self.shapes]),
+            np.stack([other.field for other in self.shapes]),
             _STEPS,
             limit,
         )
-        bounds = bounds.reshape(count, -1).min(axis=1)
+        bounds = bounds.reshape(len(self.shapes), -1).min(axis=1)
         best, name = limit, ""
         for index in np.argsort(bounds):
             if bounds[index] >= best:
@@ -391,7 +378,7 @@ def nearest_distances(
 def main(arguments: list[str] | None = None) -> int:
     """Measures the library, or draws its table again."""
     parser = argparse.ArgumentParser(
-        prog="python -m xray_drake.scene.likeness",
+        prog="python -m tests.scene.likeness",
         description="Measures how alike the library's objects are.",
     )
     parser.add_argument(
