@@ -7,6 +7,7 @@ empty message, never ``None``: ``None`` cannot cross a port.
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -158,6 +159,70 @@ class Grasp(Message):
         return self.kind is not GraspKind.NONE
 
 
+class Rejection(NamedTuple):
+    """Why some candidates for a grasp were not taken.
+
+    Attributes:
+        kind: of the grasps.
+        reason: in words that go on from the number: "too wide", "hit mug_003".
+        candidates: how many of them.
+    """
+
+    kind: GraspKind
+    reason: str
+    candidates: int
+
+
+@dataclass(frozen=True, eq=False)
+class GraspPlan(Message):
+    """What planning a grasp on one object came to.
+
+    Attributes:
+        grasp: the best; of kind NONE where there is none.
+        rejections: of the candidates that failed; of each kind, the reasons
+            that the most candidates have are first.
+    """
+
+    grasp: Grasp = field(default_factory=Grasp)
+    rejections: tuple[Rejection, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.grasp)
+
+    def why_not(self, most: int = 3) -> str:
+        """Returns in one line why candidates failed.
+
+        Args:
+            most: so many reasons are told of each kind, the commonest.
+        """
+        parts = []
+        for kind in (GraspKind.JAW, GraspKind.SUCTION):
+            those = [r for r in self.rejections if r.kind is kind]
+            told = [f"{r.candidates} {r.reason}" for r in those[:most]]
+            others = sum(r.candidates for r in those[most:])
+            told += [f"{others} otherwise"] if others else []
+            if told:
+                parts.append(f"{kind.value}: {', '.join(told)}")
+        return "; ".join(parts)
+
+
+class RankedCandidate(NamedTuple):
+    """A candidate in its place in a ranking.
+
+    Attributes:
+        name: of the instance.
+        score: the ranking's, in a unit of its own.
+        hides: see :class:`xray_drake.policy.ranking.Scores`.
+        passed_over: why another was grasped; empty for the one grasped, and
+            for those after it that there was no need to look at.
+    """
+
+    name: str
+    score: float
+    hides: bool
+    passed_over: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class SearchAction(Message):
     """What the policy decided, with what it knew.
@@ -167,8 +232,8 @@ class SearchAction(Message):
             command to the gripper.
         grasp: what to do; its kind is NONE where no candidate has a grasp.
         is_target: the grasp is on the target.
-        ranking: candidates in the order of preference.
-        scores: the score of each candidate in ``ranking``.
+        ranking: candidates in the order of preference, and why some were
+            passed over.
         score: of the object grasped.
         support: |supp ρ| when it decided, pixels.
         support_01: number of pixels with ρ > 0.1 when it decided.
@@ -180,8 +245,7 @@ class SearchAction(Message):
     number: int = 0
     grasp: Grasp = field(default_factory=Grasp)
     is_target: bool = False
-    ranking: tuple[str, ...] = ()
-    scores: tuple[float, ...] = ()
+    ranking: tuple[RankedCandidate, ...] = ()
     score: float = 0.0
     support: int = 0
     support_01: int = 0

@@ -55,7 +55,7 @@ def truth():
 
 def plan(planner, *meshes, camera=CAMERA, **options):
     depth, mask = see(camera, *meshes)
-    return planner.plan("it", mask, depth, camera, **options)
+    return planner.plan("it", mask, depth, camera, **options).grasp
 
 
 @settings(max_examples=8, deadline=None)
@@ -131,12 +131,12 @@ def test_no_plan_hangs_on_the_last_digit_of_a_reading(planner, mesh, camera):
     camera = CAMERAS[camera]
     depth, mask = see(camera, mesh)
     depth = depth.astype(np.float32)
-    grasp = planner.plan("it", mask, depth, camera)
+    grasp = planner.plan("it", mask, depth, camera).grasp
     assert grasp
     for seed in range(3):
         up = np.random.default_rng(seed).random(depth.shape) < 0.5
         other = np.nextafter(depth, np.where(up, np.inf, 0).astype(np.float32))
-        again = planner.plan("it", mask, other, camera)
+        again = planner.plan("it", mask, other, camera).grasp
         assert again.kind is grasp.kind
         np.testing.assert_allclose(again.X_WG, grasp.X_WG, atol=1e-4)
 
@@ -190,7 +190,7 @@ def test_excluded_grasps_are_not_returned(planner):
     for number in range(4):
         grasp = planner.plan(
             f"instance_{number}", mask, depth, CAMERA, excluded=excluded
-        )
+        ).grasp
         assert grasp
         assert not any(
             same_grasp(old, grasp.kind, grasp.X_WG, position=0.010, angle=0.5)
@@ -266,7 +266,7 @@ def test_what_cannot_be_seen_has_no_grasp(planner):
         (np.full_like(depth, np.inf), mask),
         (np.where(mask, np.nan, depth), mask),
     ):
-        grasp = planner.plan("it", bad_mask, bad_depth, CAMERA)
+        grasp = planner.plan("it", bad_mask, bad_depth, CAMERA).grasp
         assert grasp.kind is GraspKind.NONE
 
 
@@ -280,10 +280,11 @@ def test_odd_masks_do_no_harm(planner):
     speckles = np.zeros_like(mask)
     speckles[::7, ::5] = True
     for odd in (np.ones_like(mask), border, ~mask, line, speckles):
-        grasp = planner.plan("it", odd, depth, CAMERA)
+        grasp = planner.plan("it", odd, depth, CAMERA).grasp
         assert np.isfinite(grasp.X_WG).all()
     only = np.where(mask, depth, np.nan)
-    assert planner.plan("it", mask, only, CAMERA).kind is GraspKind.SUCTION
+    grasp = planner.plan("it", mask, only, CAMERA).grasp
+    assert grasp.kind is GraspKind.SUCTION
 
 
 def test_images_of_another_shape_are_refused(planner):
@@ -301,7 +302,7 @@ def test_lost_readings_cost_no_grasp(planner):
     depth[rng.random(depth.shape) < 0.02] = 0.0
     last = np.flatnonzero(mask.any(axis=0)).max()
     depth[150:240, last + 1 : last + 5] = np.nan
-    grasp = planner.plan("it", mask, depth, CAMERA)
+    grasp = planner.plan("it", mask, depth, CAMERA).grasp
     assert grasp.kind is GraspKind.JAW
     assert min(abs(grasp.width - side) for side in FLAT[:2]) < 0.004
 
@@ -314,8 +315,8 @@ def test_a_mask_that_misses_its_border_costs_no_grasp(planner, seed):
     depth, mask = see(CAMERA, block(FLAT, at(0.02, 0, 0.0025, yaw=yaw)))
     inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     missed = mask & ~inner & (rng.random(mask.shape) < 0.5)
-    whole = planner.plan("it", mask, depth, CAMERA)
-    grasp = planner.plan("it", mask & ~missed, depth, CAMERA)
+    whole = planner.plan("it", mask, depth, CAMERA).grasp
+    grasp = planner.plan("it", mask & ~missed, depth, CAMERA).grasp
     assert grasp.kind is whole.kind is GraspKind.JAW
     assert grasp.quality > 0.6 * whole.quality
 

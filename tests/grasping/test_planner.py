@@ -61,7 +61,7 @@ def nominal(planner, grasp, poses, **changes):
 )
 def test_a_thin_box_on_the_floor_is_grasped_from_above(planner, x, y, yaw):
     poses = {"flat": at(x, y, 0.0025, yaw)}
-    grasp = planner.plan("flat", poses)
+    grasp = planner.plan("flat", poses).grasp
     assert grasp.kind is GraspKind.JAW
     assert grasp.object == "flat"
     assert grasp.quality > 0.3
@@ -79,7 +79,7 @@ def test_a_thin_box_on_the_floor_is_grasped_from_above(planner, x, y, yaw):
 
 def test_a_plate_too_wide_for_the_jaw_is_sucked(planner):
     poses = {"plate": at(0.05, 0, 0.005)}
-    grasp = planner.plan("plate", poses)
+    grasp = planner.plan("plate", poses).grasp
     assert grasp.kind is GraspKind.SUCTION
     assert grasp.width == 0.0
     np.testing.assert_allclose(grasp.X_WG[:3, 2], [0, 0, -1], atol=1e-9)
@@ -95,7 +95,7 @@ def test_beside_the_wall_and_in_the_corner(planner):
 
 def test_nothing_under_a_roof(planner):
     poses = {"flat": at(0, 0, 0.0025), "roof": at(0, 0, 0.03)}
-    assert planner.plan("flat", poses).kind is GraspKind.NONE
+    assert planner.plan("flat", poses).grasp.kind is GraspKind.NONE
     assert planner.plan("roof", poses)
     del poses["roof"]
     assert planner.plan("flat", poses)
@@ -129,7 +129,7 @@ def test_excluded_grasps_are_not_returned(planner, name):
     poses = {name: at(0.02, 0.01, 0.0025 if name == "flat" else 0.005, 0.3)}
     excluded = []
     for _ in range(4):
-        grasp = planner.plan(name, poses, excluded=excluded)
+        grasp = planner.plan(name, poses, excluded=excluded).grasp
         assert grasp
         assert not any(
             same_grasp(old, grasp.kind, grasp.X_OG, position=0.005, angle=0.175)
@@ -143,7 +143,8 @@ def test_plans_follow_from_seed_and_heap_alone():
     first = ModelGraspPlanner([FLAT, PLATE], seed=3)
     second = ModelGraspPlanner([PLATE, FLAT], seed=3)
     second.plan("plate", poses)
-    a, b = first.plan("flat", poses), second.plan("flat", poses)
+    a = first.plan("flat", poses).grasp
+    b = second.plan("flat", poses).grasp
     np.testing.assert_array_equal(a.X_WG, b.X_WG)
     assert (a.width, a.quality) == (b.width, b.quality)
     other = ModelGraspPlanner([FLAT], seed=4).samples("flat")[0]
@@ -160,13 +161,13 @@ def test_plans_follow_from_seed_and_heap_alone():
 )
 def test_no_plan_hangs_on_the_last_digit_of_a_pose(name, X_WO):
     planner = ModelGraspPlanner([FLAT, PLATE, CUBE], seed=7)
-    grasp = planner.plan(name, {name: X_WO})
+    grasp = planner.plan(name, {name: X_WO}).grasp
     assert grasp
     for seed in range(4):
         other = X_WO.copy()
         rng = np.random.default_rng(seed)
         other[:3] += 1e-13 * rng.normal(size=(3, 4))
-        again = planner.plan(name, {name: other})
+        again = planner.plan(name, {name: other}).grasp
         assert again.kind is grasp.kind
         np.testing.assert_allclose(again.X_WG, grasp.X_WG, atol=1e-4)
 
@@ -211,8 +212,8 @@ def test_a_cup_cannot_hold_more_than_its_vacuum():
         ]
     )
     poses = {"light": at(0.1, 0, 0.01), "iron": at(-0.1, 0, 0.015)}
-    assert planner.plan("light", poses).kind is GraspKind.SUCTION
-    assert planner.plan("iron", poses).kind is GraspKind.NONE
+    assert planner.plan("light", poses).grasp.kind is GraspKind.SUCTION
+    assert planner.plan("iron", poses).grasp.kind is GraspKind.NONE
 
 
 @pytest.mark.parametrize(
@@ -238,7 +239,7 @@ def test_what_a_displaced_jaw_meets(planner, shift, reason):
 
 def test_the_jaw_stops_at_the_floor(planner):
     poses = {"flat": at(0, 0, 0.0025)}
-    grasp = planner.plan("flat", poses)
+    grasp = planner.plan("flat", poses).grasp
     X_WG = grasp.X_WG.copy()
     X_WG[2, 3] -= 0.003
     judged = nominal(planner, grasp, poses, X_WG_perturbed=X_WG)
@@ -291,7 +292,7 @@ def test_no_grasp_cannot_be_judged(planner):
 
 def test_most_perturbed_grasps_on_a_thin_box_succeed(planner):
     poses = {"flat": at(0, 0, 0.0025)}
-    grasp = planner.plan("flat", poses)
+    grasp = planner.plan("flat", poses).grasp
     rng = np.random.default_rng(0)
     lifted = 0
     for _ in range(60):
@@ -367,6 +368,6 @@ def test_the_only_grasp_is_taken_however_weak():
     weak = block("weak", 0.03, 0.03, 0.03, density=900.0)
     planner = ModelGraspPlanner([weak], seed=7)
     poses = {"weak": at(0, 0, 0.015)}
-    grasp = planner.plan("weak", poses)
+    grasp = planner.plan("weak", poses).grasp
     found = [replace(grasp, quality=0.1 * EQUAL_QUALITY)]
     assert planner._most_robust(found, poses)

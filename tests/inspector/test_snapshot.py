@@ -5,7 +5,7 @@ import pytest
 
 from xray_drake.inspector.replay import Replay
 from xray_drake.inspector.snapshot import Snapshot
-from xray_drake.messages import Outcome
+from xray_drake.messages import Outcome, RankedCandidate
 from xray_drake.scene.heap import Heap
 from xray_drake.testing.tiny import Observation
 
@@ -52,7 +52,7 @@ def test_it_holds_the_decision_and_what_became_of_it(replay: Replay) -> None:
 
 def test_grasps_of_the_candidates_ranked_highest(replay: Replay) -> None:
     shot = replay.snapshots[0]
-    assert set(shot.grasps) <= set(shot.action.ranking)
+    assert set(shot.grasps) <= {c.name for c in shot.action.ranking}
     assert len(shot.grasps) > 1
     assert shot.grasps["book"] is shot.action.grasp
     for name, grasp in shot.grasps.items():
@@ -61,8 +61,11 @@ def test_grasps_of_the_candidates_ranked_highest(replay: Replay) -> None:
 
 
 def with_scores(shot: Snapshot, scores: tuple[float, ...]) -> Snapshot:
-    ranking = tuple(f"object_{k}" for k in range(len(scores)))
-    action = replace(shot.action, ranking=ranking, scores=scores)
+    ranking = tuple(
+        RankedCandidate(f"object_{k}", score, hides=True)
+        for k, score in enumerate(scores)
+    )
+    action = replace(shot.action, ranking=ranking)
     return replace(shot, action=action)
 
 

@@ -9,6 +9,7 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
     GraspKind,
+    GraspPlan,
     InstanceMasks,
     OccupancyDistribution,
 )
@@ -110,11 +111,11 @@ def planning(
         freed: by object and what is thought away.
     """
 
-    def plan(name: str, *, without: Sequence[str] = ()) -> Grasp:
+    def plan(name: str, *, without: Sequence[str] = ()) -> GraspPlan:
         quality = qualities.get(name, 0.0)
         for gone in without:
             quality = (freed or {}).get((name, gone), quality)
         kind = GraspKind.JAW if quality else GraspKind.NONE
-        return Grasp(kind, name if quality else "", quality=quality)
+        return GraspPlan(Grasp(kind, name if quality else "", quality=quality))
 
     return plan

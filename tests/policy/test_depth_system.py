@@ -15,6 +15,7 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
     GraspKind,
+    GraspPlan,
     GripperMode,
     GripperStatus,
     InstanceMasks,
@@ -51,12 +52,14 @@ class SeenPlanner:
         camera: PinholeCamera,
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
+    ) -> GraspPlan:
         self.asked.append((object_name, tuple(excluded)))
         self.depths.append(depth)
         X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
         X_WG[:3, 3] = camera.unproject(depth)[mask].mean(axis=0)
-        return Grasp(GraspKind.SUCTION, object_name, X_WG, quality=0.8)
+        return GraspPlan(
+            Grasp(GraspKind.SUCTION, object_name, X_WG, quality=0.8)
+        )
 
 
 def heap(*names: str, left: float = 0.03) -> tuple[np.ndarray, InstanceMasks]:

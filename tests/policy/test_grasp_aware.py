@@ -15,12 +15,11 @@ from tests.policy.blocks import (
     planning,
     target_block,
 )
-from xray_drake.messages import Grasp, OccupancyDistribution
+from xray_drake.messages import Grasp, OccupancyDistribution, RankedCandidate
 from xray_drake.policy.beyond.chance import chance
 from xray_drake.policy.beyond.grasp_aware import GraspAware
 from xray_drake.policy.ranking import (
     Planning,
-    Ranked,
     SearchView,
     largest,
     order,
@@ -51,7 +50,7 @@ def view(blocks: Sequence[Block], plan: Planning) -> SearchView:
     )
 
 
-def ranked(seen: SearchView, ranking: GraspAware) -> list[Ranked]:
+def ranked(seen: SearchView, ranking: GraspAware) -> list[RankedCandidate]:
     return order(seen, ranking, np.random.default_rng(0))
 
 
@@ -69,21 +68,21 @@ class Noting:
 
 def test_a_target_that_can_be_grasped_is_next() -> None:
     plan = Noting(planning({**GOOD, TARGET: 0.5}))
-    (name, score, _), *_ = ranked(view(ALL, plan), GraspAware())
+    (name, score, *_), *_ = ranked(view(ALL, plan), GraspAware())
     assert name == TARGET
-    assert score == chance(planning({TARGET: 0.5})(TARGET))
+    assert score == chance(planning({TARGET: 0.5})(TARGET).grasp)
     assert plan.asked == [(TARGET, ())]
 
 
 @pytest.mark.parametrize("blocker", ["left", "right"])
 def test_what_blocks_the_grasp_goes_first(blocker: str) -> None:
     freed = {(TARGET, blocker): 0.6}
-    (name, score, _), *_ = ranked(
+    (name, score, *_), *_ = ranked(
         view(ALL, planning(GOOD, freed)), GraspAware()
     )
     assert name == blocker
     first, then = (
-        chance(planning({"it": quality})("it")) for quality in (0.9, 0.6)
+        chance(planning({"it": quality})("it").grasp) for quality in (0.9, 0.6)
     )
     assert score == pytest.approx(first * then / (first + then))
 

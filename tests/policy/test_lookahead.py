@@ -98,7 +98,7 @@ def test_it_expects_what_would_happen(
     )
     seen = view(blocks, plan)
     config = Lookahead(candidates=6, beam=6, second=6)
-    chances = {block.name: chance(plan(block.name)) for block in blocks}
+    chances = {block.name: chance(plan(block.name).grasp) for block in blocks}
     gains = {b.name: chances[b.name] * expected(blocks, b)[0] for b in blocks}
     slow = {}
     for block in blocks:

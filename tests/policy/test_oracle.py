@@ -35,7 +35,7 @@ def test_it_ranks_by_overlap_with_the_true_mask(seed: int) -> None:
     view = random_view(seed)
     assert view.true_mask is not None
     ranked = order(view, oracle, rng())
-    for name, score, _ in ranked:
+    for name, score, *_ in ranked:
         overlap = view.instances.mask(name) & view.true_mask
         assert score == np.count_nonzero(overlap)
     scores = [c.score for c in ranked]

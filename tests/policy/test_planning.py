@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.messages import Grasp, GraspKind, InstanceMasks
+from xray_drake.messages import Grasp, GraspKind, GraspPlan, InstanceMasks
 from xray_drake.policy.planning import (
     PLACE_RADIUS,
     DepthPlanning,
@@ -35,11 +35,11 @@ class SeenPlanner:
         camera: PinholeCamera,
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
+    ) -> GraspPlan:
         self.masks.append(mask)
         self.depths.append(depth)
         self.excluded.append(tuple(excluded))
-        return Grasp(GraspKind.JAW, object_name, quality=0.5)
+        return GraspPlan(Grasp(GraspKind.JAW, object_name, quality=0.5))
 
 
 @pytest.fixture
@@ -78,8 +78,8 @@ def test_each_instance_is_planned_once(
     planner, seen = SeenPlanner(), recorded_observation
     plan = DepthPlanning(planner, instances, seen.depth, seen.camera, ())
     book = segment(seen, "book")
-    grasp = plan(book)
-    assert (grasp.object, plan(book)) == (book, grasp)
+    planned = plan(book)
+    assert (planned.grasp.object, plan(book)) == (book, planned)
     assert len(planner.masks) == 1
     np.testing.assert_array_equal(
         planner.masks[0], seen.labels == seen.label_of["book"]
@@ -120,9 +120,9 @@ def test_models_exclude_by_name() -> None:
         def __init__(self) -> None:
             self.asked: list[tuple[set[str], tuple[Grasp, ...]]] = []
 
-        def plan(self, object_name, poses, *, excluded=()) -> Grasp:  # type: ignore[no-untyped-def]
+        def plan(self, object_name, poses, *, excluded=()) -> GraspPlan:  # type: ignore[no-untyped-def]
             self.asked.append((set(poses), tuple(excluded)))
-            return Grasp(GraspKind.JAW, object_name)
+            return GraspPlan(Grasp(GraspKind.JAW, object_name))
 
     planner = Models()
     failed = [FailedGrasp(Grasp(GraspKind.JAW, name)) for name in ("a", "b")]

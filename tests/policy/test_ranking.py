@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.messages import InstanceMasks, OccupancyDistribution
+from xray_drake.messages import (
+    InstanceMasks,
+    OccupancyDistribution,
+    RankedCandidate,
+)
 from xray_drake.policy.ranking import (
-    Ranked,
     Ranking,
     Scores,
     SearchView,
@@ -48,7 +51,7 @@ def random_view(seed: int, threshold: float) -> SearchView:
     return view(labels, rho, threshold=threshold)
 
 
-def names_of(ranked: list[Ranked]) -> list[str]:
+def names_of(ranked: list[RankedCandidate]) -> list[str]:
     return [c.name for c in ranked]
 
 
@@ -160,7 +163,7 @@ def test_later_columns_break_ties_only() -> None:
         return Scores(values, values[:, 1] > 0)
 
     ranked = order(random_view(8, 0.0), ranking, rng())
-    assert ranked == [
+    assert [tuple(c[:3]) for c in ranked] == [
         ("d", 2.0, True),
         ("b", 2.0, False),
         ("c", 1.0, True),

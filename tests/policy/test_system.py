@@ -15,11 +15,13 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
     GraspKind,
+    GraspPlan,
     GripperMode,
     GripperStatus,
     InstanceMasks,
     OccupancyDistribution,
     Outcome,
+    Rejection,
     SearchAction,
     TargetMask,
 )
@@ -40,6 +42,13 @@ RHO = np.linspace(0, 1, 12 * 24).reshape(12, 24)
 DONE = GripperStatus(GripperMode.IDLE, 1, Outcome.LIFTED)
 
 
+NO_GRASP = (Rejection(GraspKind.JAW, "too wide", 7),)
+
+
+def names(action: SearchAction) -> list[str]:
+    return [candidate.name for candidate in action.ranking]
+
+
 class Planner:
     """Has one grasp for each name in ``graspable``, and notes who asks."""
 
@@ -57,16 +66,18 @@ class Planner:
         poses: Mapping[str, np.ndarray],
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
+    ) -> GraspPlan:
         self.asked.append((object_name, tuple(excluded)))
         self.poses = poses
         if object_name not in self.graspable:
-            return Grasp()
-        return Grasp(
-            GraspKind.JAW,
-            object_name,
-            width=0.01 * len(self.asked),
-            quality=self.quality.get(object_name, 1.0),
+            return GraspPlan(rejections=NO_GRASP)
+        return GraspPlan(
+            Grasp(
+                GraspKind.JAW,
+                object_name,
+                width=0.01 * len(self.asked),
+                quality=self.quality.get(object_name, 1.0),
+            )
         )
 
     @property
@@ -165,8 +176,8 @@ def test_the_first_decision_and_what_it_says() -> None:
     action = policy.advance()
     assert action.number == 1
     assert action.grasp.object == "book"
-    assert action.ranking == ("book", "cup", "box")
-    assert action.scores == (120.0, 96.0, 72.0)
+    assert names(action) == ["book", "cup", "box"]
+    assert [c.score for c in action.ranking] == [120.0, 96.0, 72.0]
     assert action.score == 120.0
     assert not action.is_target
     assert action.support == np.count_nonzero(RHO)
@@ -230,7 +241,7 @@ def test_it_takes_the_next_in_the_ranking_that_has_a_grasp() -> None:
     action = Policy(planner).advance()
     assert planner.names_asked == ["book", "cup", "box"]
     assert action.grasp.object == "box"
-    assert action.ranking == ("book", "cup", "box")
+    assert names(action) == ["book", "cup", "box"]
     assert action.score == 72.0
 
 
@@ -269,7 +280,7 @@ def test_what_hides_nothing_is_not_worth_a_good_grasp(
     rho = np.choose(LABELS, [under[name] for name in NAMES])
     policy.fix("occupancy", OccupancyDistribution(rho))
     action = policy.advance()
-    assert action.ranking == ("book", "cup", "box")
+    assert names(action) == ["book", "cup", "box"]
     assert action.grasp.object == chosen
     # It is not even planned on, where anything else can be grasped.
     assert ("box" in planner.names_asked) == (chosen == "box")
@@ -319,7 +330,7 @@ def test_nothing_seen_is_no_grasp() -> None:
 def test_objects_seen_too_little_are_not_candidates() -> None:
     planner = Planner("box")
     action = Policy(planner, min_visible_pixels=73).advance()
-    assert action.ranking == ("book", "cup")
+    assert names(action) == ["book", "cup"]
     assert not action.grasp
 
 
@@ -358,7 +369,7 @@ def test_target_first(target_first: bool, graspable: tuple[str, ...]) -> None:
     expected = graspable[0] if target_first else "book"
     assert action.grasp.object == expected
     assert action.is_target == (expected == "box")
-    assert action.ranking[0] == ("box" if target_first else "book")
+    assert action.ranking[0].name == ("box" if target_first else "book")
     assert action.score == {"box": 72.0, "book": 120.0}[expected]
 
 
@@ -367,7 +378,7 @@ def test_the_target_by_its_rank_is_the_target_too() -> None:
     policy.fix("target_mask", TargetMask(LABELS == 0))
     action = policy.advance()
     assert action.is_target
-    assert action.ranking == ("book", "cup", "box")
+    assert names(action) == ["book", "cup", "box"]
 
 
 def recorder(
@@ -491,7 +502,8 @@ def test_a_grasp_that_the_ranking_asked_for_is_planned_once() -> None:
 
     def ranking(view: SearchView, rng: np.random.Generator) -> Scores:
         assert view.plan is not None
-        values = np.array([[view.plan(n).quality] for n in view.candidates])
+        plans = [view.plan(name) for name in view.candidates]
+        values = np.array([[plan.grasp.quality] for plan in plans])
         return Scores(values, np.ones(len(values), bool))
 
     action = Policy(planner, ranking=ranking).advance()

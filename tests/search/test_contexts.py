@@ -44,7 +44,7 @@ class Search:
         self.seen += [
             plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)),
             np.array(action.grasp.X_WG),
-            np.array(action.scores),
+            np.array([c.score for c in action.ranking]),
             np.array([action.number, status.mode.value, status.held]),
         ]
 

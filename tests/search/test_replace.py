@@ -59,7 +59,7 @@ class ByName(LeafSystem):
         instances = self.GetInputPort("instances").Eval(context)
         grasp = self._parts.planner.plan(
             min(instances.names), dict(self._parts.heap.poses)
-        )
+        ).grasp
         state.get_mutable_abstract_state(self._decided).set_value(
             SearchAction(number=last.number + 1, grasp=grasp)
         )

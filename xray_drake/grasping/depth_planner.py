@@ -31,7 +31,7 @@ from xray_drake.grasping.depth_surface import DepthSurface, observe
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.judgement import GraspJudge, JudgementConfig
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
-from xray_drake.messages import Grasp, GraspKind
+from xray_drake.messages import Grasp, GraspKind, GraspPlan
 from xray_drake.seeding import stream
 
 
@@ -149,7 +149,7 @@ class DepthGraspPlanner:
         camera: PinholeCamera,
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
+    ) -> GraspPlan:
         """Plans a grasp.
 
         Args:
@@ -172,7 +172,7 @@ class DepthGraspPlanner:
         found = self.find_grasps(
             object_name, mask, depth, camera, excluded=excluded
         )
-        return found[0] if found else Grasp()
+        return GraspPlan(found[0] if found else Grasp())
 
     def find_grasps(
         self,

@@ -32,7 +32,7 @@ from xray_drake.grasping.sampling import (
     sample_suction,
     surface_points,
 )
-from xray_drake.messages import Grasp, GraspKind
+from xray_drake.messages import Grasp, GraspKind, GraspPlan
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.seeding import stream
 
@@ -56,8 +56,8 @@ class GraspPlanner(Protocol):
         poses: Mapping[str, np.ndarray],
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
-        """Returns the best grasp found; of kind NONE if there is none."""
+    ) -> GraspPlan:
+        """Returns the best grasp found, or why there is none."""
 
 
 @dataclass
@@ -199,7 +199,7 @@ class ModelGraspPlanner:
         poses: Mapping[str, np.ndarray],
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
+    ) -> GraspPlan:
         """Plans a grasp.
 
         Args:
@@ -243,7 +243,7 @@ class ModelGraspPlanner:
                     checked >= self.config.max_checks
                     or len(found) >= self.config.enough
                 ):
-                    return self._most_robust(found, poses)
+                    return GraspPlan(self._most_robust(found, poses))
                 kind, X_WG = candidate.kind, candidate.X_WG
                 if self._is_excluded(kind, X_OW @ X_WG, excluded):
                     continue
@@ -270,7 +270,7 @@ class ModelGraspPlanner:
                         quality=quality,
                     )
                 )
-        return self._most_robust(found, poses)
+        return GraspPlan(self._most_robust(found, poses))
 
     def _most_robust(
         self, found: list[Grasp], poses: Mapping[str, np.ndarray]

@@ -81,12 +81,13 @@ class Snapshot:
         Where all are equal, all are 1.
         """
         action = self.action
-        if not action.scores:
+        if not action.ranking:
             return {}
-        scores = np.array(action.scores, float)
+        scores = np.array([c.score for c in action.ranking], float)
         low, high = scores.min(), scores.max()
         shares = (scores - low) / (high - low) if high > low else scores**0
-        return dict(zip(action.ranking, shares.tolist(), strict=True))
+        names = [candidate.name for candidate in action.ranking]
+        return dict(zip(names, shares.tolist(), strict=True))
 
 
 def take_snapshot(
@@ -119,7 +120,8 @@ def take_snapshot(
     grasps: dict[str, Grasp] = {}
     if candidates and isinstance(policy, SearchPolicy):
         grasps = policy.grasps(
-            policy.GetMyContextFromRoot(context), action.ranking[:candidates]
+            policy.GetMyContextFromRoot(context),
+            [c.name for c in action.ranking[:candidates]],
         )
     if action.grasp:
         grasps[action.grasp.object] = action.grasp

@@ -9,13 +9,13 @@ from pydrake.systems.framework import Context, EventStatus, State
 
 from xray_drake.messages import (
     Choice,
-    Grasp,
     GraspOptions,
     InstanceMasks,
+    RankedCandidate,
     SearchAction,
 )
 from xray_drake.policy.planning import FailedGrasp
-from xray_drake.policy.ranking import Ranked, SearchView, candidates
+from xray_drake.policy.ranking import SearchView, candidates
 from xray_drake.policy.system import Decision, SearchPolicy
 
 
@@ -90,7 +90,7 @@ class ChoicePolicy(SearchPolicy):
         names = candidates(instances, min_pixels=self._min_pixels)
         failed = self._still_excluded(context, self._failed(context))
         plan = self._planning(context, instances, failed)
-        qualities = tuple(_quality(plan(name)) for name in names)
+        qualities = tuple(plan(name).grasp.quality for name in names)
         output.set_value(
             GraspOptions(
                 names,
@@ -112,10 +112,10 @@ class ChoicePolicy(SearchPolicy):
 
     def _ranked(
         self, context: Context, view: SearchView, number: int
-    ) -> list[Ranked]:
+    ) -> list[RankedCandidate]:
         name = self._chosen(context).object
         valid = self._options.Eval(context).valid
-        return [Ranked(name, 0.0, hides=True)] if name in valid else []
+        return [RankedCandidate(name, 0.0, True)] if name in valid else []
 
     def _decide(
         self, context: Context, number: int, failed: tuple[FailedGrasp, ...]
@@ -127,7 +127,3 @@ class ChoicePolicy(SearchPolicy):
             decision,
             action=replace(action, invalid=others and not action.grasp),
         )
-
-
-def _quality(grasp: Grasp) -> float:
-    return grasp.quality if grasp else 0.0

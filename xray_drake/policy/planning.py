@@ -9,7 +9,7 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
 from xray_drake.grasping.planner import GraspPlanner
-from xray_drake.messages import Grasp, InstanceMasks, Message
+from xray_drake.messages import Grasp, GraspPlan, InstanceMasks, Message
 from xray_drake.policy.removal import Removal
 
 PLACE_RADIUS = 0.04
@@ -37,8 +37,8 @@ class SeenGraspPlanner(Protocol):
         camera: PinholeCamera,
         *,
         excluded: Sequence[Grasp] = (),
-    ) -> Grasp:
-        """Returns the best grasp found; of kind NONE if there is none.
+    ) -> GraspPlan:
+        """Returns the best grasp found, or why there is none.
 
         Args:
             object_name: what the grasp is called to be of.
@@ -92,9 +92,11 @@ class ModelPlanning:
         self._planner = planner
         self._poses = poses
         self._failed = [f.grasp for f in failed]
-        self._known: dict[tuple[str, frozenset[str]], Grasp] = {}
+        self._known: dict[tuple[str, frozenset[str]], GraspPlan] = {}
 
-    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
+    def __call__(
+        self, name: str, *, without: Collection[str] = ()
+    ) -> GraspPlan:
         """Plans a grasp; see :class:`xray_drake.policy.ranking.Planning`."""
         key = name, frozenset(without)
         if key not in self._known:
@@ -137,9 +139,11 @@ class DepthPlanning:
         self._depth = depth
         self._camera = camera
         self._failed = [f.grasp for f in failed]
-        self._known: dict[tuple[str, frozenset[str]], Grasp] = {}
+        self._known: dict[tuple[str, frozenset[str]], GraspPlan] = {}
 
-    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
+    def __call__(
+        self, name: str, *, without: Collection[str] = ()
+    ) -> GraspPlan:
         """Plans a grasp; see :class:`xray_drake.policy.ranking.Planning`."""
         key = name, frozenset(without)
         if key not in self._known:

@@ -2,13 +2,18 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.messages import Grasp, InstanceMasks, OccupancyDistribution
+from xray_drake.messages import (
+    GraspPlan,
+    InstanceMasks,
+    OccupancyDistribution,
+    RankedCandidate,
+)
 
 _LEAST_HIDDEN = 1.0
 """An object with less of the distribution under it hides nothing, pixels."""
@@ -17,8 +22,10 @@ _LEAST_HIDDEN = 1.0
 class Planning(Protocol):
     """Plans grasps in the heap that is looked at."""
 
-    def __call__(self, name: str, *, without: Collection[str] = ()) -> Grasp:
-        """Returns the best grasp on an object; of kind NONE if there is none.
+    def __call__(
+        self, name: str, *, without: Collection[str] = ()
+    ) -> GraspPlan:
+        """Returns the best grasp on an object, or why there is none.
 
         Args:
             name: of the object.
@@ -114,20 +121,6 @@ class Ranking(Protocol):
         """
 
 
-class Ranked(NamedTuple):
-    """A candidate in its place.
-
-    Attributes:
-        name: of the candidate.
-        score: the ranking's.
-        hides: see :class:`Scores`.
-    """
-
-    name: str
-    score: float
-    hides: bool
-
-
 def xray(view: SearchView, rng: np.random.Generator) -> Scores:
     """X-Ray: sum of mask × distribution (paper section V).
 
@@ -221,7 +214,7 @@ def order(
     rng: np.random.Generator,
     *,
     target: str = "",
-) -> list[Ranked]:
+) -> list[RankedCandidate]:
     """Returns the candidates with what the ranking says, the best first.
 
     Args:
@@ -243,7 +236,7 @@ def order(
         return []
     scores = ranking(view, rng)
     ranked = [
-        Ranked(
+        RankedCandidate(
             view.candidates[i],
             float(scores.values[i, 0]),
             bool(scores.hides[i]),

@@ -26,6 +26,7 @@ from xray_drake.messages import (
     Message,
     OccupancyDistribution,
     Outcome,
+    RankedCandidate,
     SearchAction,
     TargetMask,
 )
@@ -42,7 +43,6 @@ from xray_drake.policy.planning import (
 from xray_drake.policy.ranking import (
     Outlook,
     Planning,
-    Ranked,
     Ranking,
     SearchView,
     candidates,
@@ -261,7 +261,7 @@ class SearchPolicy(CollectableLeafSystem):
 
     def _ranked(
         self, context: Context, view: SearchView, number: int
-    ) -> list[Ranked]:
+    ) -> list[RankedCandidate]:
         """Returns the candidates, the best first."""
         return order(
             view,
@@ -294,15 +294,15 @@ class SearchPolicy(CollectableLeafSystem):
         )
         ranked = self._ranked(context, view, number)
         ordered = clock()
-        grasp, score = self._first_grasp(ranked, plan)
+        ranked, chosen = self._first_grasp(ranked, plan)
         planned = clock()
+        grasp = plan(ranked[chosen].name).grasp if chosen >= 0 else Grasp()
         action = SearchAction(
             number=number,
             grasp=grasp,
             is_target=bool(grasp) and grasp.object == target,
-            ranking=tuple(candidate.name for candidate in ranked),
-            scores=tuple(candidate.score for candidate in ranked),
-            score=score,
+            ranking=tuple(ranked),
+            score=ranked[chosen].score if chosen >= 0 else 0.0,
             support=occupancy.support_size(),
             support_01=occupancy.support_01_size(),
             target_pixels=int(np.count_nonzero(target_mask.data)),
@@ -391,26 +391,36 @@ class SearchPolicy(CollectableLeafSystem):
         instances: InstanceMasks = self._instances.Eval(context)
         memory: Decision = context.get_abstract_state(self._memory).get_value()
         plan = self._planning(context, instances, memory.failed)
-        planned = {name: plan(name) for name in names}
+        planned = {name: plan(name).grasp for name in names}
         return {name: grasp for name, grasp in planned.items() if grasp}
 
     def _first_grasp(
-        self, ranked: Sequence[Ranked], plan: Planning
-    ) -> tuple[Grasp, float]:
-        """Returns the grasp to be taken, and its object's score.
+        self, ranked: Sequence[RankedCandidate], plan: Planning
+    ) -> tuple[list[RankedCandidate], int]:
+        """Finds the candidate to be grasped.
 
-        The first that is good enough. While only a weak one is found it waits
-        for one on the others; but if it is on what hides the target, not for
-        those on what does not.
+        The first whose grasp is good enough. While only a weak one is found it
+        waits for one on the others; but if it is on what hides the target, not
+        for those on what does not.
+
+        Returns:
+            The ranking, with why others were passed over, and its index in it;
+            −1 for none.
         """
-        weak: tuple[Grasp, float] = (Grasp(), 0.0)
-        worth_it = False
-        for name, score, hides in ranked:
-            if worth_it and not hides:
-                continue
-            grasp = plan(name)
-            if grasp and grasp.quality >= self._min_quality:
-                return grasp, score
-            if grasp and not weak[0]:
-                weak, worth_it = (grasp, score), hides
-        return weak
+        told, weak = list(ranked), -1
+        for i, candidate in enumerate(ranked):
+            if weak >= 0 and ranked[weak].hides and not candidate.hides:
+                why = "hides nothing, and a weak grasp on what does is better"
+            else:
+                planned = plan(candidate.name)
+                quality = planned.grasp.quality
+                if planned and quality >= self._min_quality:
+                    return told, i
+                why = planned.why_not() or "no grasp"
+                if planned:
+                    why = f"quality {quality:.2f} < {self._min_quality:g}"
+                    weak = i if weak < 0 else weak
+            told[i] = candidate._replace(passed_over=why)
+        if weak >= 0:
+            told[weak] = ranked[weak]
+        return told, weak

@@ -264,6 +264,7 @@ class SearchMonitor:
                 target_visible_fraction=min(visible, 1.0),
                 true_mask_in_support=inside,
                 seconds=dict(action.seconds),
+                ranking=action.ranking,
             )
         )
         for observer in self._observers:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from xray_drake.files import write_whole_file
-from xray_drake.messages import Grasp, Outcome
+from xray_drake.messages import Grasp, Outcome, RankedCandidate
 from xray_drake.provenance import Provenance, current
 
 
@@ -39,6 +39,8 @@ class ActionRecord:
         seconds: wall time per stage.
         segment: what was grasped, by the name that the segmenter gave it; with
             ground truth the body's own.
+        ranking: candidates in the order of preference, and why some were
+            passed over.
     """
 
     step: int
@@ -58,6 +60,7 @@ class ActionRecord:
     true_mask_in_support: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)
     segment: str = ""
+    ranking: tuple[RankedCandidate, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the action as JSON takes it."""
@@ -85,6 +88,15 @@ class ActionRecord:
             "target_visible_fraction": round(self.target_visible_fraction, 4),
             "true_mask_in_support": round(self.true_mask_in_support, 4),
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
+            "ranking": [
+                {
+                    "object": candidate.name,
+                    "score": round(candidate.score, 4),
+                    "hides": candidate.hides,
+                    "passed_over": candidate.passed_over,
+                }
+                for candidate in self.ranking
+            ],
         }
 
 

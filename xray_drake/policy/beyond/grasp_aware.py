@@ -75,7 +75,7 @@ class GraspAware:
         self, view: SearchView, outlook: Outlook, plan: Planning
     ) -> dict[str, float]:
         target = view.target
-        now = chance(plan(target))
+        now = chance(plan(target).grasp)
         if now > 0:
             # Two actions are never worth more than one of at least one half.
             return {target: now}
@@ -92,8 +92,12 @@ class GraspAware:
         ]
         values = {}
         for name in near[: self.candidates]:
-            first = chance(plan(name))
-            then = chance(plan(target, without=(name,))) if first > 0 else 0.0
+            first = chance(plan(name).grasp)
+            then = (
+                chance(plan(target, without=(name,)).grasp)
+                if first > 0
+                else 0.0
+            )
             if then > 0:
                 values[name] = 1 / (1 / first + 1 / then)
         return values

@@ -66,7 +66,7 @@ class Lookahead:
             raise ValueError("lookahead needs an outlook and a planner")
         base = xray(view, rng)
         target = view.target if view.target in view.candidates else ""
-        certain = chance(view.plan(target)) if target else 0.0
+        certain = chance(view.plan(target).grasp) if target else 0.0
         if certain > 0:
             values = {target: certain * view.occupancy.support_size()}
         else:
@@ -86,7 +86,7 @@ class Lookahead:
             if name != view.target
         }
         tried = now.promising(masks)[: self.candidates]
-        chances = {name: chance(plan(name)) for name in tried}
+        chances = {name: chance(plan(name).grasp) for name in tried}
         removals = {
             name: now.without(masks[name], self.low)
             for name in tried
@@ -124,7 +124,7 @@ class Lookahead:
         best = 0.0
         for name in after.promising(left)[: self.second]:
             then = chances.get(name, USUAL)
-            then = then or chance(plan(name, without=(gone,)))
+            then = then or chance(plan(name, without=(gone,)).grasp)
             if then > 0:
                 decrease = after.without(left[name], self.low).decrease
                 best = max(best, then * decrease)
