@@ -31,10 +31,10 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
 
     def run(
-        options: module.GenerateOptions,
+        out: Path,
         manifest: Manifest,
         missing: Sequence[ExpectedShard],
-        progress: Any,
+        **options: Any,
     ) -> Iterator[ShardReport]:
         for shard in missing:
             samples = [
@@ -48,11 +48,11 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
                 dataset=manifest.fingerprint(),
                 index=shard.index,
             )
-            write_shard(options.out / shard.name, samples, attributes)
+            write_shard(out / shard.name, samples, attributes)
             names.append(shard.name)
             yield ShardReport(shard.name, 1, 1, (), 1.0)
 
-    monkeypatch.setattr(module, "_run", run)
+    monkeypatch.setattr(module, "run_processes", run)
     return names
 
 

@@ -6,18 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.exits import FAILED
 from xray_drake.cli.options import AsJson, Dataset, Workers
+from xray_drake.cli.progress import counting_bar
 from xray_drake.provenance import made_by
 
 if TYPE_CHECKING:
@@ -30,6 +24,7 @@ app = typer.Typer(
 
 
 @app.command()
+@errors_as_lines()
 def check(
     dataset: Dataset,
     fast: Annotated[
@@ -42,49 +37,32 @@ def check(
     workers: Workers = 1,
 ) -> None:
     """Check every file, byte and sample; exit 1 where something is wrong."""
-    with errors_as_lines():
-        report = _check(dataset, deep=not fast, workers=workers)
-        if json:
-            _print_json(report)
-        else:
-            _print_verdict(report)
-        code = 0 if report.sound else FAILED
-    raise typer.Exit(code)
+    report = _check(dataset, deep=not fast, workers=workers)
+    if json:
+        _print_json(report)
+    else:
+        _print_verdict(report)
+    raise typer.Exit(0 if report.sound else FAILED)
 
 
 @app.command()
+@errors_as_lines()
 def info(dataset: Dataset, json: AsJson = False, workers: Workers = 1) -> None:
     """Tell what a dataset holds; damage is told, but is no failure."""
-    with errors_as_lines():
-        report = _check(dataset, deep=True, workers=workers)
-        if json:
-            _print_json(report)
-        else:
-            _print_info(report, made_by(dataset))
+    report = _check(dataset, deep=True, workers=workers)
+    if json:
+        _print_json(report)
+    else:
+        _print_info(report, made_by(dataset))
 
 
 def _check(folder: Path, *, deep: bool, workers: int) -> "CheckReport":
     # h5py and NumPy take a while to import: not for --help.
     from xray_drake.dataset.check import check_dataset
 
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("shards"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bars:
-        task = bars.add_task("", total=None)
+    with counting_bar(Console(stderr=True), "shards") as progress:
         return check_dataset(
-            folder,
-            deep=deep,
-            workers=workers,
-            progress=lambda done, total: bars.update(
-                task, completed=done, total=total
-            ),
+            folder, deep=deep, workers=workers, progress=progress
         )
 
 
@@ -113,28 +91,27 @@ def _print_info(report: "CheckReport", manifest_line: str) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    samples = f"{report.num_found} of {manifest.num_samples}"
-    table.add_row("samples", samples)
-    for split, count in manifest.splits.items():
-        table.add_row(f"  {split}", str(count))
-    table.add_row("targets", ", ".join(manifest.targets))
-    table.add_row("seed", str(manifest.seed))
-    table.add_row("images", f"{manifest.width}×{manifest.height}")
-    table.add_row("views per heap", str(manifest.views_per_heap))
-    table.add_row("snapshots per heap", str(manifest.snapshots))
+    rows = [
+        ("samples", f"{report.num_found} of {manifest.num_samples}"),
+        *((f"  {split}", count) for split, count in manifest.splits.items()),
+        ("targets", ", ".join(manifest.targets)),
+        ("seed", manifest.seed),
+        ("images", f"{manifest.width}×{manifest.height}"),
+        ("views per heap", manifest.views_per_heap),
+        ("snapshots per heap", manifest.snapshots),
+    ]
     for (package, drake), shards in sorted(report.versions.items()):
-        table.add_row(
-            "made by", f"xray-drake {package}, Drake {drake} ({shards} shards)"
-        )
-    table.add_row("manifest", manifest_line)
+        made = f"xray-drake {package}, Drake {drake} ({shards} shards)"
+        rows.append(("made by", made))
     size = f"{report.num_bytes / 1e6:.1f} MB"
     if report.num_found:
         size += f", {report.num_bytes / report.num_found / 1e3:.1f} kB a sample"
-    table.add_row("size", size)
+    rows += [("manifest", manifest_line), ("size", size)]
     for name, value in report.statistics().items():
         if isinstance(value, float) and not name.startswith("objects"):
-            table.add_row(name.replace("_", " "), f"{value:.1%}")
+            rows.append((name.replace("_", " "), f"{value:.1%}"))
         elif not isinstance(value, dict):
-            table.add_row(name.replace("_", " "), str(value))
-    table.add_row("defects", str(len(report.defects)))
+            rows.append((name.replace("_", " "), value))
+    for name, value in (*rows, ("defects", len(report.defects))):
+        table.add_row(name, str(value))
     Console().print(table, highlight=False)

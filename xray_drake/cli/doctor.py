@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
-from rich.console import Console
+import typer
 
 from xray_drake.threads import usable_cores
 
@@ -91,24 +91,16 @@ def findings() -> Iterator[Finding]:
     )
 
 
-def run(console: Console) -> int:
+def run() -> int:
     """Prints the findings; returns 1 where a search cannot run, else 0."""
     broken = False
     for finding in findings():
         mark = (
             "ok  " if finding.good else "LACK" if finding.required else "note"
         )
-        console.print(
-            f"{mark}  {finding.what}: {finding.detail}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        typer.echo(f"{mark}  {finding.what}: {finding.detail}")
         if not finding.good:
-            console.print(
-                f"      mend it: {finding.cure}",
-                highlight=False,
-                soft_wrap=True,
-            )
+            typer.echo(f"      mend it: {finding.cure}")
             broken |= finding.required
     return int(broken)
 

@@ -1,150 +1,121 @@
 """``xray-drake inspect``."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
-from xray_drake.choices import OCCUPANCIES
 from xray_drake.cli.errors import errors_as_lines
-from xray_drake.cli.options import one_of, overrides
+from xray_drake.cli.options import one_of, replacing
+from xray_drake.cli.outputs import check_picture
 from xray_drake.splits import SPLITS
 
 if TYPE_CHECKING:
     from xray_drake.dataset.sample import Sample
 
 
-_SEARCHED, _RECORDED = "Of a heap", "Of a rollout"
-_SHOWN = "How heaps and rollouts are shown"
-_SAMPLES = "Of a dataset"
+_HEAP = "Of a heap"
+_of_rollout = partial(typer.Option, rich_help_panel="Of a rollout")
+_of_page = partial(
+    typer.Option, rich_help_panel="How heaps and rollouts are shown"
+)
+_of_samples = partial(typer.Option, rich_help_panel="Of a dataset")
+
+_What = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="WHAT",
+        help="A rollout's record (search --json), a benchmark's folder or "
+        "rollouts.jsonl, or a dataset's folder. Left out, a heap is dropped.",
+    ),
+]
+_Seed = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="Of the heap; of a benchmark's rollout; of the draw of samples "
+        "(0).",
+    ),
+]
+_Target = Annotated[
+    list[str] | None, typer.Option(help="Of the heap; of samples, repeatable.")
+]
+_Policy = Annotated[
+    str | None,
+    typer.Option(help="Whose decision is shown; of a benchmark's rollout."),
+]
+_Scenario = Annotated[
+    str,
+    typer.Option(help="Name, or a YAML file.", rich_help_panel=_HEAP),
+]
+_Rollout = Annotated[
+    int | None,
+    _of_rollout(
+        help="Of a benchmark's records this one, from 0; or choose by --policy "
+        "and --seed."
+    ),
+]
+_Step = Annotated[int, _of_rollout(min=1, help="To begin with, from 1.")]
+_Opacity = Annotated[
+    float,
+    _of_page(
+        min=0.0,
+        max=1.0,
+        help="Of the heap: below 1 one sees the target under it.",
+    ),
+]
+_Html = Annotated[
+    Path | None,
+    _of_page(
+        help="Write a page with all layers and steps, in place of a live one."
+    ),
+]
+_Samples = Annotated[int, _of_samples(min=1, help="How many, drawn at random.")]
+_Index = Annotated[
+    list[int] | None,
+    _of_samples(help="This one instead, from 0; repeatable."),
+]
+_Split = Annotated[str | None, _of_samples(help=f"{one_of(SPLITS)}.")]
+_Out = Annotated[
+    Path | None,
+    _of_samples(
+        help="Write the figure here: PNG, PDF or SVG. By default samples.png, "
+        "or nothing with --meshcat."
+    ),
+]
+_Meshcat = Annotated[
+    bool,
+    typer.Option(
+        "--meshcat",
+        help="Show samples one by one in Meshcat; Ctrl-C ends it. A heap or "
+        "rollout is shown there anyway; with --html, too.",
+    ),
+]
 
 
+@replacing("num_objects", "meshes", "scale", "occupancy", panel=_HEAP)
+@errors_as_lines()
 def inspect(
-    what: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="WHAT",
-            help="A rollout's record (search --json), a benchmark's folder or "
-            "rollouts.jsonl, or a dataset's folder. Left out, a heap is "
-            "dropped.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Of the heap; of a benchmark's rollout; of the draw of "
-            "samples (0).",
-        ),
-    ] = None,
-    target: Annotated[
-        list[str] | None,
-        typer.Option(help="Of the heap; of samples, repeatable."),
-    ] = None,
-    scenario: Annotated[
-        str | None,
-        typer.Option(
-            help="Name, or a YAML file; by default demo.",
-            rich_help_panel=_SEARCHED,
-        ),
-    ] = None,
-    num_objects: Annotated[
-        int | None,
-        typer.Option(help="Distractors to drop.", rich_help_panel=_SEARCHED),
-    ] = None,
-    meshes: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Folder of meshes that replace the distractors; repeatable.",
-            rich_help_panel=_SEARCHED,
-        ),
-    ] = None,
-    scale: Annotated[
-        float | None,
-        typer.Option(
-            help="Factor from their unit to metres.", rich_help_panel=_SEARCHED
-        ),
-    ] = None,
-    occupancy: Annotated[
-        str | None,
-        typer.Option(help=f"{one_of(OCCUPANCIES)}.", rich_help_panel=_SEARCHED),
-    ] = None,
-    policy: Annotated[
-        str | None,
-        typer.Option(
-            help="Whose decision is shown; of a benchmark's rollout.",
-            rich_help_panel=_SEARCHED,
-        ),
-    ] = None,
-    rollout: Annotated[
-        int | None,
-        typer.Option(
-            help="Of a benchmark's records this one, from 0; or choose by "
-            "--policy and --seed.",
-            rich_help_panel=_RECORDED,
-        ),
-    ] = None,
-    step: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="To begin with, from 1.", rich_help_panel=_RECORDED
-        ),
-    ] = None,
-    opacity: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Of the heap: below 1 one sees the target under it.",
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    html: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write a page with all layers and steps, in place of a live "
-            "one.",
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    samples: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="How many, drawn at random (8).",
-            rich_help_panel=_SAMPLES,
-        ),
-    ] = None,
-    index: Annotated[
-        list[int] | None,
-        typer.Option(
-            help="This one instead, from 0; repeatable.",
-            rich_help_panel=_SAMPLES,
-        ),
-    ] = None,
-    split: Annotated[
-        str | None,
-        typer.Option(help=f"{one_of(SPLITS)}.", rich_help_panel=_SAMPLES),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the figure here: PNG, PDF or SVG. By default "
-            "samples.png, or nothing with --meshcat.",
-            rich_help_panel=_SAMPLES,
-        ),
-    ] = None,
-    meshcat: Annotated[
-        bool,
-        typer.Option(
-            "--meshcat",
-            help="Show samples one by one in Meshcat; Ctrl-C ends it. A heap "
-            "or rollout is shown there anyway; with --html, too.",
-        ),
-    ] = False,
+    context: typer.Context,
+    overrides: dict[str, Any],
+    what: _What = None,
+    seed: _Seed = None,
+    target: _Target = None,
+    policy: _Policy = None,
+    scenario: _Scenario = "demo",
+    rollout: _Rollout = None,
+    step: _Step = 1,
+    opacity: _Opacity = 1.0,
+    html: _Html = None,
+    samples: _Samples = 8,
+    index: _Index = None,
+    split: _Split = None,
+    out: _Out = None,
+    meshcat: _Meshcat = False,
 ) -> None:
     """Look into a heap, a recorded rollout or a dataset.
 
@@ -160,95 +131,50 @@ def inspect(
 
     xray-drake inspect out/paper --out samples.png
     """
-    given = {
-        "scenario": scenario,
-        "num-objects": num_objects,
-        "meshes": meshes,
-        "scale": scale,
-        "occupancy": occupancy,
-        "policy": policy,
-        "rollout": rollout,
-        "step": step,
-        "opacity": opacity,
-        "html": html,
-        "target": target,
-        "samples": samples,
-        "index": index,
-        "split": split,
-        "out": out,
-    }
-    with errors_as_lines():
-        kind = kind_of(what)
-        check_options(
-            kind, [name for name, value in given.items() if value is not None]
+    kind = kind_of(what)
+    _check_options(kind, context)
+    if kind == "dataset":
+        assert what is not None
+        chosen = choose(
+            what,
+            samples=samples,
+            indices=index,
+            split=split,
+            targets=target,
+            seed=seed or 0,
         )
-        if kind == "dataset":
-            assert what is not None
-            _inspect_dataset(
-                choose(
-                    what,
-                    samples=8 if samples is None else samples,
-                    indices=index,
-                    split=split,
-                    targets=target,
-                    seed=seed or 0,
-                ),
-                out,
-                meshcat=meshcat,
-            )
-            return
-        # Drake takes a second to import, and datasets do without.
-        from xray_drake.cli.inspect_search import (
-            PageOptions,
-            inspect_heap,
-            inspect_rollout,
-        )
+        _show_samples(chosen, out, meshcat=meshcat)
+        return
+    # Drake takes a second to import, and datasets do without.
+    from xray_drake.cli import inspect_search
 
-        options = PageOptions(
-            step=step or 1,
-            opacity=1.0 if opacity is None else opacity,
-            html=html,
-            live=html is None or meshcat,
+    page = inspect_search.PageOptions(
+        step=step, opacity=opacity, html=html, live=html is None or meshcat
+    )
+    if kind == "rollout":
+        assert what is not None
+        inspect_search.inspect_rollout(
+            what, page, index=rollout, policy=policy, seed=seed
         )
-        if kind == "rollout":
-            assert what is not None
-            inspect_rollout(
-                what,
-                options,
-                Console(),
-                index=rollout,
-                policy=policy,
-                seed=seed,
-            )
-            return
-        if target is not None and len(target) > 1:
-            raise ValueError("a heap has one target: give --target once")
-        inspect_heap(
-            scenario or "demo",
-            overrides(
-                seed=seed,
-                target=target[0] if target else None,
-                num_objects=num_objects,
-                meshes=meshes,
-                scale=scale,
-                occupancy=occupancy,
-                policy=policy,
-            ),
-            options,
-            Console(),
-        )
+        return
+    if target is not None and len(target) > 1:
+        raise ValueError("a heap has one target: give --target once")
+    asked = {"seed": seed, "policy.name": policy}
+    asked["scene.target"] = target[0] if target else None
+    overrides |= {k: v for k, v in asked.items() if v is not None}
+    inspect_search.inspect_heap(scenario, overrides, page)
 
 
 _PAGE = ("opacity", "html")
 _USES = {
     "heap": (
-        *("scenario", "num-objects", "meshes", "scale", "occupancy", "policy"),
+        *("scenario", "num_objects", "meshes", "scale", "occupancy", "policy"),
         *("target", *_PAGE),
     ),
     "rollout": ("policy", "rollout", "step", *_PAGE),
     "dataset": ("samples", "index", "split", "target", "out"),
 }
-"""What is inspected, to the options that it takes beside --seed, --meshcat."""
+"""What is inspected, to the options that it takes beside those of all."""
 
 
 def kind_of(what: Path | None) -> str:
@@ -270,31 +196,21 @@ def kind_of(what: Path | None) -> str:
     return "dataset"
 
 
-def check_options(kind: str, given: Sequence[str]) -> None:
-    """Checks that options are of what is inspected.
+def _check_options(kind: str, context: typer.Context) -> None:
+    """Checks that the options given are of what is inspected.
 
     Raises:
         ValueError: one is not; it is named.
     """
-    for name in given:
-        if name not in _USES[kind]:
-            others = [other for other, uses in _USES.items() if name in uses]
+    for name in context.params:
+        others = [other for other, uses in _USES.items() if name in uses]
+        source = context.get_parameter_source(name)
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and others and kind not in others:
             raise ValueError(
-                f"--{name} is for a {' or a '.join(others)}, and this is a "
-                f"{kind}"
+                f"--{name.replace('_', '-')} is for a "
+                f"{' or a '.join(others)}, and this is a {kind}"
             )
-
-
-def _inspect_dataset(
-    chosen: Sequence[tuple[int, "Sample"]], out: Path | None, *, meshcat: bool
-) -> None:
-    if out is None and not meshcat:
-        out = Path("samples.png")
-    if out is not None:
-        write_figure([sample for _, sample in chosen], out)
-        typer.echo(f"wrote {out}")
-    if meshcat:
-        _show(chosen)
 
 
 def choose(
@@ -338,52 +254,39 @@ def choose(
     return [(index, dataset.sample(index)) for index in indices]
 
 
-def write_figure(samples: Sequence["Sample"], path: Path) -> None:
-    """Writes a figure of samples, in the format that its name ends with.
+def _show_samples(
+    chosen: Sequence[tuple[int, "Sample"]], out: Path | None, *, meshcat: bool
+) -> None:
+    """Writes a figure of samples, or shows one after another until Ctrl-C."""
+    if out is None and not meshcat:
+        out = Path("samples.png")
+    if out is not None:
+        from xray_drake.inspector.figures import sample_figure
 
-    Raises:
-        ValueError: no format is called so.
-        OSError: it cannot be written.
-    """
-    from xray_drake.inspector.figures import sample_figure
-
-    figure = sample_figure(samples)
-    kinds = figure.canvas.get_supported_filetypes()
-    kind = path.suffix.removeprefix(".").lower()
-    if kind not in kinds:
-        raise ValueError(
-            f"no picture can be written to {path}: its name should end in "
-            ".png, .pdf or .svg"
+        check_picture(out)
+        sample_figure([sample for _, sample in chosen]).savefig(
+            out, format=out.suffix.removeprefix(".").lower()
         )
-    figure.savefig(path, format=kind)
-
-
-def _show(chosen: Sequence[tuple[int, "Sample"]]) -> None:
-    """Shows one sample after another until Ctrl-C."""
+        typer.echo(f"wrote {out}")
+    if not meshcat:
+        return
     from xray_drake.inspector.dataset import show_sample, start_viewer
 
     viewer = start_viewer()
     typer.echo(f"open {viewer.url}; Ctrl-C here ends it")
     try:
-        for index, sample in _around(chosen):
+        for index, sample in cycle(chosen):
             show_sample(viewer, sample)
             typer.echo(
                 f"sample {index}: {sample.key}, "
                 f"{sample.visible_fraction:.0%} visible"
             )
-            wait_for_enter(len(chosen))
+            _wait_for_enter(len(chosen))
     except KeyboardInterrupt:
         typer.echo("")
 
 
-def _around(
-    chosen: Sequence[tuple[int, "Sample"]],
-) -> Iterator[tuple[int, "Sample"]]:
-    while True:
-        yield from chosen
-
-
-def wait_for_enter(count: int) -> None:
+def _wait_for_enter(count: int) -> None:
     """Waits for Enter; where there is no terminal, for Ctrl-C."""
     try:
         input("Enter shows the next " if count > 1 else "")

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
 from rich.console import Console
 
 from xray_drake.cli.configure import configure
+from xray_drake.cli.outputs import check_output
 from xray_drake.cli.progress import progress_bar
-from xray_drake.cli.search import check_output
 from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.inspector.page import InspectorPage
 from xray_drake.inspector.recording import write_html
@@ -43,10 +44,7 @@ class PageOptions:
 
 
 def inspect_heap(
-    scenario: str,
-    overrides: Mapping[str, Any],
-    options: PageOptions,
-    console: Console,
+    scenario: str, overrides: Mapping[str, Any], options: PageOptions
 ) -> None:
     """Drops a heap, lets the policy decide once, and shows it.
 
@@ -54,7 +52,6 @@ def inspect_heap(
         scenario: a name or a YAML file.
         overrides: see :func:`xray_drake.cli.options.overrides`.
         options: how.
-        console: for progress.
 
     Raises:
         ScenarioError: bad input.
@@ -63,15 +60,14 @@ def inspect_heap(
     """
     configured = configure(scenario, overrides)
     check_output(options.html)
-    with progress_bar(console, "dropping the heap") as progress:
+    with progress_bar(Console(), "dropping the heap") as progress:
         heap = make_heap(configured, progress=progress)
-    _show(first_decision(configured, heap), options, console)
+    _show(first_decision(configured, heap), options)
 
 
 def inspect_rollout(
     path: Path,
     options: PageOptions,
-    console: Console,
     *,
     index: int | None,
     policy: str | None,
@@ -82,7 +78,6 @@ def inspect_rollout(
     Args:
         path: see :func:`xray_drake.inspector.replay.load_rollout`.
         options: how.
-        console: for progress.
         index: of several rollouts this one, from 0.
         policy: of several, one of this policy …
         seed: … and of this seed.
@@ -100,17 +95,17 @@ def inspect_rollout(
             f"{path}: there is no step {options.step}: the rollout has "
             f"{actions}, and {actions + 1} is its end"
         )
-    with progress_bar(console, "dropping the heap") as progress:
+    with progress_bar(Console(), "dropping the heap") as progress:
         heap = remake_heap(rollout, progress=progress)
-    with progress_bar(console, "searching it again") as progress:
+    with progress_bar(Console(), "searching it again") as progress:
         replay = replay_search(rollout.scenario, heap, progress=progress)
     otherwise = difference(rollout.record, replay.record)
     if otherwise:
-        console.print(f"{path}: {otherwise}", highlight=False, soft_wrap=True)
-    _show(replay, options, console)
+        typer.echo(f"{path}: {otherwise}")
+    _show(replay, options)
 
 
-def _show(replay: Replay, options: PageOptions, console: Console) -> None:
+def _show(replay: Replay, options: PageOptions) -> None:
     meshcat = start_meshcat()
     look_at_heap(meshcat)
     view = ReplayView(replay, meshcat)
@@ -119,19 +114,11 @@ def _show(replay: Replay, options: PageOptions, console: Console) -> None:
     if options.html is not None:
         view.record()
         write_html(meshcat, options.html)
-        console.print(f"wrote {options.html}", highlight=False, soft_wrap=True)
+        typer.echo(f"wrote {options.html}")
     if not options.live:
         return
-    console.print(
+    typer.echo(
         f"open {meshcat.web_url()}; its controls are under Open Controls; "
-        "Ctrl-C here ends it",
-        highlight=False,
-        soft_wrap=True,
+        "Ctrl-C here ends it"
     )
-    InspectorPage(
-        view,
-        opacity=options.opacity,
-        announce=lambda line: console.print(
-            line, highlight=False, soft_wrap=True
-        ),
-    ).loop()
+    InspectorPage(view, opacity=options.opacity, announce=typer.echo).loop()

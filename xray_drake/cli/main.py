@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from xray_drake import __version__
 from xray_drake.cli.dataset import app as dataset_app
@@ -16,35 +15,22 @@ from xray_drake.cli.evaluate import app as evaluate_app
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
 from xray_drake.cli.options import (
+    CELL,
     CORES,
     FLAT_TARGETS,
-    Carrier,
-    Detector,
-    Dtype,
-    Execution,
-    Grasps,
-    Horizon,
-    Meshes,
+    OCCUPANCIES,
+    POLICIES,
+    SPLITS,
     Mix,
-    NumObjects,
-    Occupancies,
-    Occupancy,
-    Policies,
-    Policy,
-    Scale,
     ScenarioName,
-    Segmenter,
-    Target,
-    TargetFirst,
-    Weights,
+    Seed,
     Workers,
     one_of,
-    overrides,
+    replacing,
 )
 from xray_drake.cli.report import report
 from xray_drake.cli.study import app as study_app
 from xray_drake.cli.train import train
-from xray_drake.splits import SPLITS
 
 
 class _App(typer.Typer):
@@ -91,26 +77,11 @@ def _main(
 
 
 @app.command()
+@replacing("policy", "seed", "occupancy", "target_first", *CELL)
+@errors_as_lines()
 def search(
+    overrides: dict[str, Any],
     scenario: ScenarioName = "demo",
-    policy: Policy = None,
-    target: Target = None,
-    num_objects: NumObjects = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Of heap, policy and execution.")
-    ] = None,
-    horizon: Horizon = None,
-    meshes: Meshes = None,
-    scale: Scale = None,
-    execution: Execution = None,
-    carrier: Carrier = None,
-    occupancy: Occupancy = None,
-    weights: Weights = None,
-    dtype: Dtype = None,
-    detector: Detector = None,
-    segmenter: Segmenter = None,
-    grasps: Grasps = None,
-    target_first: TargetFirst = None,
     json: Annotated[
         Path | None, typer.Option(help="Write the record here.")
     ] = None,
@@ -126,8 +97,9 @@ def search(
     meshcat: Annotated[
         bool,
         typer.Option(
+            "--meshcat",
             help="Show it live, with buttons, on a page of this machine; "
-            "Ctrl-C ends it."
+            "Ctrl-C ends it.",
         ),
     ] = False,
 ) -> None:
@@ -136,72 +108,50 @@ def search(
     The scenario decides what an option leaves out.
     """
     # Drake takes a second to import: not for --help and --version.
-    from xray_drake.cli.search import SearchOptions, run
+    from xray_drake.cli.search import run
 
-    with errors_as_lines():
-        code = run(
-            SearchOptions(
-                scenario=scenario,
-                overrides=overrides(
-                    policy=policy,
-                    target_first=target_first,
-                    target=target,
-                    num_objects=num_objects,
-                    meshes=meshes,
-                    scale=scale,
-                    seed=seed,
-                    horizon=horizon,
-                    execution=execution,
-                    carrier=carrier,
-                    grasps=grasps,
-                    occupancy=occupancy,
-                    weights=weights,
-                    dtype=dtype,
-                    detector=detector,
-                    segmenter=segmenter,
-                ),
-                json=json,
-                html=html,
-                meshcat=meshcat,
-                film_strip=film_strip,
-            ),
-            Console(),
-        )
+    code = run(
+        scenario,
+        overrides,
+        json=json,
+        html=html,
+        film_strip=film_strip,
+        live=meshcat,
+    )
     raise typer.Exit(code)
 
 
 @app.command()
+@replacing("target_first", *CELL)
+@errors_as_lines()
 def benchmark(
+    overrides: dict[str, Any],
     out: Annotated[
         Path, typer.Option(help="Folder for the records; resumed if it exists.")
     ],
     scenario: ScenarioName = "demo",
-    policies: Policies = "random,largest,xray",
-    occupancy: Occupancies = "",
+    policies: Annotated[
+        str,
+        typer.Option(
+            help=f"{one_of([*POLICIES])}, or some with commas between."
+        ),
+    ] = "random,largest,xray",
+    occupancy: Annotated[
+        str,
+        typer.Option(
+            help=f"{one_of(OCCUPANCIES)}, or some with commas between: "
+            "policies that look at the distribution run with each. By default "
+            "the scenario's."
+        ),
+    ] = "",
     heaps: Annotated[int, typer.Option(min=1, help="How many heaps.")] = 30,
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the first; then one by one.")
     ] = 0,
     workers: Workers = CORES,
-    target: Target = None,
-    num_objects: NumObjects = None,
-    meshes: Meshes = None,
-    scale: Scale = None,
-    horizon: Horizon = None,
-    target_first: TargetFirst = None,
-    execution: Execution = None,
-    carrier: Carrier = None,
-    weights: Weights = None,
-    dtype: Dtype = None,
-    detector: Detector = None,
-    segmenter: Segmenter = None,
-    grasps: Grasps = None,
     resume: Annotated[
         bool,
-        typer.Option(
-            "--resume/--no-resume",
-            help="Go on with what the folder holds, or refuse it.",
-        ),
+        typer.Option(help="Go on with what the folder holds, or refuse it."),
     ] = True,
     mix: Mix = False,
 ) -> None:
@@ -209,41 +159,26 @@ def benchmark(
 
     The scenario decides what an option leaves out.
     """
-    from xray_drake.cli.benchmark import BenchmarkOptions, run
+    from xray_drake.cli.benchmark import run
 
-    with errors_as_lines():
-        run(
-            BenchmarkOptions(
-                out=out,
-                scenario=scenario,
-                overrides=overrides(
-                    target=target,
-                    num_objects=num_objects,
-                    meshes=meshes,
-                    scale=scale,
-                    horizon=horizon,
-                    execution=execution,
-                    carrier=carrier,
-                    grasps=grasps,
-                    weights=weights,
-                    dtype=dtype,
-                    detector=detector,
-                    segmenter=segmenter,
-                ),
-                policies=policies,
-                occupancy=occupancy,
-                target_first=target_first,
-                seeds=range(seed, seed + heaps),
-                workers=workers,
-                resume=resume,
-                mix=mix,
-            ),
-            Console(),
-        )
+    run(
+        out,
+        scenario,
+        overrides,
+        policies=policies,
+        occupancy=occupancy,
+        seeds=range(seed, seed + heaps),
+        workers=workers,
+        resume=resume,
+        mix=mix,
+    )
 
 
 @app.command()
+@replacing("num_objects", "meshes", "scale")
+@errors_as_lines()
 def generate(
+    overrides: dict[str, Any],
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Folder of the dataset.")
     ],
@@ -264,7 +199,7 @@ def generate(
             "the images."
         ),
     ] = "train",
-    seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0,
+    seed: Seed = 0,
     workers: Workers = CORES,
     views_per_heap: Annotated[
         int, typer.Option(min=1, help="Cameras for each state of a heap.")
@@ -272,14 +207,9 @@ def generate(
     snapshots: Annotated[
         int,
         typer.Option(
-            min=1,
-            help="States of a heap that are looked at: while it grows, and "
-            "at rest.",
+            min=1, help="States of a heap: while it grows, and at rest."
         ),
     ] = 1,
-    num_objects: NumObjects = None,
-    meshes: Meshes = None,
-    scale: Scale = None,
     color: Annotated[
         bool, typer.Option("--color", help="With colour images.")
     ] = False,
@@ -302,32 +232,26 @@ def generate(
     mix: Mix = False,
 ) -> None:
     """Make a dataset of labelled images."""
-    from xray_drake.cli.generate import GenerateOptions, run
+    from xray_drake.cli.generate import run
 
-    with errors_as_lines():
-        run(
-            GenerateOptions(
-                out=out,
-                images=images,
-                scenario=scenario,
-                overrides=overrides(
-                    num_objects=num_objects, meshes=meshes, scale=scale
-                ),
-                target=target,
-                split=split,
-                seed=seed,
-                views_per_heap=views_per_heap,
-                snapshots=snapshots,
-                shard_size=shard_size,
-                color=color,
-                label=label,
-                workers=workers,
-                cluster=cluster,
-                resume=resume,
-                mix=mix,
-            ),
-            Console(),
-        )
+    run(
+        out,
+        scenario,
+        overrides,
+        targets=target,
+        split=split,
+        images=images,
+        workers=workers,
+        cluster=cluster,
+        resume=resume,
+        mix=mix,
+        seed=seed,
+        views_per_heap=views_per_heap,
+        snapshots=snapshots,
+        shard_size=shard_size,
+        color=color,
+        label=label,
+    )
 
 
 @app.command()
@@ -335,7 +259,7 @@ def doctor() -> None:
     """Say what this machine lacks, and the command that mends it."""
     from xray_drake.cli.doctor import run
 
-    raise typer.Exit(run(Console()))
+    raise typer.Exit(run())
 
 
 app.command()(report)

@@ -49,6 +49,7 @@ _Packaged = Annotated[
 
 
 @app.command("list")
+@errors_as_lines()
 def list_objects(
     names: _Names = None,
     split: _Split = None,
@@ -57,28 +58,28 @@ def list_objects(
     json: AsJson = False,
 ) -> None:
     """Tell the name, split, size, mass and pieces of objects."""
-    with errors_as_lines():
-        chosen = choose(names, split, family, packaged)
-        rows = [_row(name) for name in chosen]
-        if json:
-            typer.echo(json_format.dumps(rows, indent=1))
-            return
-        table = Table("name", "family", "split", title=f"{len(rows)} objects")
-        for title in ("size, mm", "mass, g", "pieces"):
-            table.add_column(title, justify="right")
-        for row in rows:
-            table.add_row(
-                row["name"],
-                row["family"],
-                row["split"],
-                " × ".join(f"{1000 * side:.0f}" for side in row["size"]),
-                f"{1000 * row['mass']:.1f}",
-                str(row["pieces"]),
-            )
-        Console().print(table)
+    chosen = choose(names, split, family, packaged)
+    rows = [_row(name) for name in chosen]
+    if json:
+        typer.echo(json_format.dumps(rows, indent=1))
+        return
+    table = Table("name", "family", "split", title=f"{len(rows)} objects")
+    for title in ("size, mm", "mass, g", "pieces"):
+        table.add_column(title, justify="right")
+    for row in rows:
+        table.add_row(
+            row["name"],
+            row["family"],
+            row["split"],
+            " × ".join(f"{1000 * side:.0f}" for side in row["size"]),
+            f"{1000 * row['mass']:.1f}",
+            str(row["pieces"]),
+        )
+    Console().print(table)
 
 
 @app.command()
+@errors_as_lines()
 def show(
     names: _Names = None,
     split: _Split = None,
@@ -111,32 +112,32 @@ def show(
 
     Without names, families and a number per family, six of each family.
     """
-    with errors_as_lines():
-        if not names and not family and per_family is None:
-            per_family = 6
-        chosen = choose(names, split, family, packaged)
-        shown: list[str | None] = list(chosen)
-        columns = 8
-        if per_family is not None:
-            grouped: dict[str, list[str]] = {}
-            for name in chosen:
-                grouped.setdefault(_family_of(name), []).append(name)
-            # Sorted: a packaged variant comes next to its object.
-            rows = [sorted(group)[:per_family] for group in grouped.values()]
-            columns = max(map(len, rows))
-            shown = [
-                row[i] if i < len(row) else None
-                for row in rows
-                for i in range(columns)
-            ]
-        models = _built(shown)
-        if out is not None or not meshcat:
-            _write_sheet(models, out or Path("objects.png"), columns, size)
-        if meshcat:
-            _serve(models, columns)
+    if not names and not family and per_family is None:
+        per_family = 6
+    chosen = choose(names, split, family, packaged)
+    shown: list[str | None] = list(chosen)
+    columns = 8
+    if per_family is not None:
+        grouped: dict[str, list[str]] = {}
+        for name in chosen:
+            grouped.setdefault(_family_of(name), []).append(name)
+        # Sorted: a packaged variant comes next to its object.
+        rows = [sorted(group)[:per_family] for group in grouped.values()]
+        columns = max(map(len, rows))
+        shown = [
+            row[i] if i < len(row) else None
+            for row in rows
+            for i in range(columns)
+        ]
+    models = _built(shown)
+    if out is not None or not meshcat:
+        _write_sheet(models, out or Path("objects.png"), columns, size)
+    if meshcat:
+        _serve(models, columns)
 
 
 @app.command()
+@errors_as_lines()
 def export(
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Folder to write into.")
@@ -158,21 +159,20 @@ def export(
     ] = False,
 ) -> None:
     """Write objects as SDFormat or OBJ files."""
-    with errors_as_lines():
-        if format not in ("sdf", "obj"):
-            raise ValueError(f"no format is called {format!r}: sdf or obj")
-        if out.exists() and not out.is_dir():
-            raise ValueError(f"{out} is not a folder")
-        if out.is_dir() and any(out.iterdir()) and not force:
-            raise ValueError(f"{out} is not empty; --force writes into it")
-        chosen = choose(names, split, family, packaged)
-        out.mkdir(parents=True, exist_ok=True)
-        from xray_drake.scene.library import make_object
+    if format not in ("sdf", "obj"):
+        raise ValueError(f"no format is called {format!r}: sdf or obj")
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out} is not a folder")
+    if out.is_dir() and any(out.iterdir()) and not force:
+        raise ValueError(f"{out} is not empty; --force writes into it")
+    chosen = choose(names, split, family, packaged)
+    out.mkdir(parents=True, exist_ok=True)
+    from xray_drake.scene.library import make_object
 
-        with Progress(console=Console(stderr=True), transient=True) as bar:
-            for name in bar.track(chosen, description="objects"):
-                _export(make_object(name), out, format)
-        typer.echo(f"{len(chosen)} objects in {out}")
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        for name in bar.track(chosen, description="objects"):
+            _export(make_object(name), out, format)
+    typer.echo(f"{len(chosen)} objects in {out}")
 
 
 def choose(

@@ -1,6 +1,8 @@
 """Options that several commands share, and the fields that they replace."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +31,11 @@ def one_of(names: Sequence[str]) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
+def names_in(text: str) -> list[str]:
+    """Returns names that have commas between."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 BOXES = f"{BOX_TARGETS[0]} … {BOX_TARGETS[-1]}"
 """The boxes in short; it takes the place of their names."""
 
@@ -36,71 +43,9 @@ FLAT_TARGETS = (BOXES, *(n for n in TARGET_NAMES if n not in BOX_TARGETS))
 
 CORES = usable_cores()
 
+Out = Annotated[Path, typer.Option(help="Folder to write into.")]
 ScenarioName = Annotated[
     str, typer.Option(help="Name of a scenario, or a YAML file.")
-]
-Policy = Annotated[str | None, typer.Option(help=f"{one_of([*POLICIES])}.")]
-Policies = Annotated[
-    str,
-    typer.Option(help=f"{one_of([*POLICIES])}, or some with commas between."),
-]
-Target = Annotated[
-    str | None, typer.Option(help=f"{one_of((*FLAT_TARGETS, *TALL_TARGETS))}.")
-]
-NumObjects = Annotated[
-    int | None, typer.Option(help="Distractors to drop in every heap.")
-]
-Meshes = Annotated[
-    list[Path] | None,
-    typer.Option(
-        help="Folder of meshes that replace the distractors; repeatable."
-    ),
-]
-Scale = Annotated[
-    float | None,
-    typer.Option(help="Factor from the unit of --meshes to metres."),
-]
-Horizon = Annotated[int | None, typer.Option(help="Actions at most.")]
-TargetFirst = Annotated[
-    bool | None,
-    typer.Option(
-        "--target-first/--no-target-first",
-        help="Grasp the target whenever a grasp on it exists.",
-    ),
-]
-Execution = Annotated[str | None, typer.Option(help=f"{one_of(EXECUTIONS)}.")]
-Carrier = Annotated[
-    str | None,
-    typer.Option(help=f"{one_of(CARRIERS)}: of the gripper by contact."),
-]
-Occupancy = Annotated[str | None, typer.Option(help=f"{one_of(OCCUPANCIES)}.")]
-Occupancies = Annotated[
-    str,
-    typer.Option(
-        help=f"{one_of(OCCUPANCIES)}, or some with commas between: policies "
-        "that look at the distribution run with each. By default the "
-        "scenario's."
-    ),
-]
-Weights = Annotated[
-    str | None,
-    typer.Option(help="File of a network's weights, or a folder of them."),
-]
-Dtype = Annotated[
-    str | None,
-    typer.Option(
-        help=f"{one_of(DTYPES)}: what a network computes in; the second is "
-        "faster on some processors, and less exact."
-    ),
-]
-Detector = Annotated[str | None, typer.Option(help=f"{one_of(DETECTORS)}.")]
-Segmenter = Annotated[str | None, typer.Option(help=f"{one_of(SEGMENTERS)}.")]
-Grasps = Annotated[
-    str | None,
-    typer.Option(
-        help=f"{one_of(GRASPS)}: planned from the objects' models, or from the "
-        "depth image alone."
-    ),
 ]
 Mix = Annotated[
     bool,
@@ -111,7 +56,7 @@ Mix = Annotated[
     ),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
-
+Seed = Annotated[int, typer.Option(min=0, help="Of all that is random.")]
 OfSplit = Annotated[str | None, typer.Option(help=f"{one_of(SPLITS)}.")]
 OfTargets = Annotated[
     list[str] | None, typer.Option(help="Of this target; repeatable.")
@@ -119,29 +64,122 @@ OfTargets = Annotated[
 Dataset = Annotated[
     Path, typer.Argument(metavar="DATASET", help="Holds dataset.json.")
 ]
+Incomplete = Annotated[
+    bool,
+    typer.Option("--incomplete", help="Of what is there of the dataset, too."),
+]
 AsJson = Annotated[
     bool, typer.Option("--json", help="Print JSON and nothing else.")
 ]
 
-_FIELDS = {
-    "policy": "policy.name",
-    "target_first": "policy.target_first",
-    "target": "scene.target",
-    "num_objects": "scene.num_objects",
-    "meshes": "scene.meshes",
-    "scale": "scene.mesh_scale",
-    "seed": "seed",
-    "horizon": "horizon",
-    "execution": "gripper.execution",
-    "carrier": "gripper.carrier",
-    "grasps": "gripper.grasps",
-    "occupancy": "perception.occupancy",
-    "weights": "perception.weights",
-    "dtype": "perception.dtype",
-    "detector": "perception.detector",
-    "segmenter": "perception.segmenter",
+DTYPE_HELP = (
+    f"{one_of(DTYPES)}: what a network computes in; the second is faster on "
+    "some processors, and less exact."
+)
+Dtype = Annotated[str | None, typer.Option(help=DTYPE_HELP)]
+
+_REPLACING: dict[str, tuple[str, Any, str]] = {
+    "policy": ("policy.name", str, f"{one_of([*POLICIES])}."),
+    "target_first": (
+        "policy.target_first",
+        bool,
+        "Grasp the target whenever a grasp on it exists.",
+    ),
+    "target": (
+        "scene.target",
+        str,
+        f"{one_of((*FLAT_TARGETS, *TALL_TARGETS))}.",
+    ),
+    "num_objects": (
+        "scene.num_objects",
+        int,
+        "Distractors to drop in every heap.",
+    ),
+    "meshes": (
+        "scene.meshes",
+        list[Path],
+        "Folder of meshes that replace the distractors; repeatable.",
+    ),
+    "scale": (
+        "scene.mesh_scale",
+        float,
+        "Factor from the unit of --meshes to metres.",
+    ),
+    "seed": ("seed", int, "Of heap, policy and execution."),
+    "horizon": ("horizon", int, "Actions at most."),
+    "execution": ("gripper.execution", str, f"{one_of(EXECUTIONS)}."),
+    "carrier": (
+        "gripper.carrier",
+        str,
+        f"{one_of(CARRIERS)}: of the gripper by contact.",
+    ),
+    "grasps": (
+        "gripper.grasps",
+        str,
+        f"{one_of(GRASPS)}: planned from the objects' models, or from the "
+        "depth image alone.",
+    ),
+    "occupancy": ("perception.occupancy", str, f"{one_of(OCCUPANCIES)}."),
+    "weights": (
+        "perception.weights",
+        str,
+        "File of a network's weights, or a folder of them.",
+    ),
+    "dtype": ("perception.dtype", str, DTYPE_HELP),
+    "detector": ("perception.detector", str, f"{one_of(DETECTORS)}."),
+    "segmenter": ("perception.segmenter", str, f"{one_of(SEGMENTERS)}."),
 }
-"""Option to the field of the scenario that it replaces."""
+"""Option to the field of the scenario that it replaces, its type and help."""
+
+CELL = (
+    *("target", "num_objects", "meshes", "scale", "horizon", "execution"),
+    *("carrier", "weights", "dtype", "detector", "segmenter", "grasps"),
+)
+"""Options of whoever searches a heap."""
+
+
+def replacing(*names: str, panel: str | None = None) -> Callable:
+    """Gives a command options that replace fields of its scenario.
+
+    Args:
+        names: of the options.
+        panel: of the help that they stand in.
+
+    Returns:
+        A decorator of a command that takes ``overrides``, see
+        :func:`overrides`, in place of the options.
+    """
+
+    def decorate(command: Callable) -> Callable:
+        @wraps(command)
+        def with_options(**given: Any) -> Any:
+            said = overrides(**{name: given.pop(name) for name in names})
+            return command(overrides=said, **given)
+
+        own = signature(command).parameters.values()
+        parameters = [p for p in own if p.name != "overrides"]
+        for name in names:
+            _, kind, text = _REPLACING[name]
+            option = typer.Option(help=text, rich_help_panel=panel)
+            parameters.append(
+                Parameter(
+                    name,
+                    Parameter.KEYWORD_ONLY,
+                    default=None,
+                    annotation=Annotated[kind | None, option],
+                )
+            )
+        with_options.__signature__ = signature(command).replace(  # type: ignore[attr-defined]
+            parameters=[
+                p.replace(kind=Parameter.KEYWORD_ONLY) for p in parameters
+            ]
+        )
+        with_options.__annotations__ = {
+            p.name: p.annotation for p in parameters
+        }
+        return with_options
+
+    return decorate
 
 
 def overrides(**options: Any) -> dict[str, Any]:
@@ -155,7 +193,7 @@ def overrides(**options: Any) -> dict[str, Any]:
         Path of a field ("scene.target") to its value.
     """
     said = {
-        _FIELDS[name]: value
+        _REPLACING[name][0]: value
         for name, value in options.items()
         if value is not None and value != []
     }

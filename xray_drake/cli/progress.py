@@ -51,7 +51,7 @@ def progress_bar(
 @contextmanager
 def counting_bar(
     console: Console, job: str, *, transient: bool = True
-) -> Iterator[Callable[[int, int | None], None]]:
+) -> Iterator[Callable[[int, int], None]]:
     """Shows how many of a job's items are done, and how fast.
 
     Args:
@@ -60,9 +60,10 @@ def counting_bar(
         transient: the bar goes when the job is done.
 
     Yields:
-        A function to be called with how many are done, and of how many.
+        A function to be called with how many are done, and of how many. The
+        bar is there from its first call on, and stays up to its last item.
     """
-    with Progress(
+    bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -73,6 +74,16 @@ def counting_bar(
         transient=transient,
         disable=not console.is_terminal,
         speed_estimate_period=300,
-    ) as bars:
-        task = bars.add_task(job, total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+    )
+    task = bars.add_task(job, total=None)
+
+    def update(done: int, total: int) -> None:
+        bars.start()
+        bars.update(task, completed=done, total=total)
+        if done == total:
+            bars.stop()
+
+    try:
+        yield update
+    finally:
+        bars.stop()

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from xray_drake.cli.errors import errors_as_lines
 
 
+@errors_as_lines()
 def report(
     folders: Annotated[
         list[Path],
@@ -20,23 +20,21 @@ def report(
     ] = None,
 ) -> None:
     """Write the paper's Table II, Figure 6 and more from rollouts."""
-    with errors_as_lines():
-        from xray_drake.benchmark.records import collect
-        from xray_drake.benchmark.report import (
-            make_report,
-            success_table,
-            write_report,
-        )
+    from xray_drake.benchmark.records import collect
+    from xray_drake.benchmark.report import (
+        make_report,
+        success_table,
+        write_report,
+    )
 
-        collection = collect(folders)
-        made = make_report(collection)
-        paths = write_report(made, out or folders[0])
-        console = Console()
-        if collection.repeated:
-            typer.echo(
-                f"xray-drake: repeated rollouts, left out: "
-                f"{collection.repeated} (the first of each counts)",
-                err=True,
-            )
-        for line in (*success_table(made), "", *(f"wrote {p}" for p in paths)):
-            console.print(line, soft_wrap=True, highlight=False)
+    collection = collect(folders)
+    made = make_report(collection)
+    paths = write_report(made, out or folders[0])
+    if collection.repeated:
+        typer.echo(
+            f"xray-drake: repeated rollouts, left out: "
+            f"{collection.repeated} (the first of each counts)",
+            err=True,
+        )
+    for line in (*success_table(made), "", *(f"wrote {p}" for p in paths)):
+        typer.echo(line)

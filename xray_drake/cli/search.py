@@ -1,18 +1,20 @@
 """``xray-drake search``."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import typer
 from pydrake.systems.framework import Context
 from rich.console import Console
 from rich.table import Table
 
 from xray_drake.cli.configure import configure
 from xray_drake.cli.exits import INTERRUPTED
+from xray_drake.cli.outputs import check_output, check_picture
 from xray_drake.cli.progress import progress_bar
 from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
-from xray_drake.inspector.film_strip import PICTURES, FilmStrip
+from xray_drake.inspector.film_strip import FilmStrip
 from xray_drake.inspector.recording import record_search, write_html
 from xray_drake.inspector.session import InteractiveSearch
 from xray_drake.messages import SearchAction
@@ -21,39 +23,11 @@ from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.record import ActionRecord, SearchRecord, write_record
 from xray_drake.search.rollout import run_search
 from xray_drake.station.objects import make_heap
-from xray_drake.station.scenario import Scenario, ScenarioError
-
-
-@dataclass
-class SearchOptions:
-    """What the command line asked for.
-
-    Attributes:
-        scenario: a name or a YAML file.
-        overrides: see :func:`xray_drake.cli.options.overrides`.
-        json, html, film_strip: files to write.
-        meshcat: show it live.
-    """
-
-    scenario: str
-    overrides: dict[str, Any]
-    json: Path | None = None
-    html: Path | None = None
-    meshcat: bool = False
-    film_strip: Path | None = None
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """What is to be written."""
-        paths = (self.json, self.html, self.film_strip)
-        return tuple(path for path in paths if path is not None)
+from xray_drake.station.scenario import Scenario
 
 
 class _Narrator:
     """Prints one line per action."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
 
     def decided(
         self, diagram: SearchDiagram, context: Context, action: SearchAction
@@ -67,61 +41,57 @@ class _Narrator:
         what = "the target" if found else record.object or "nothing"
         if record.is_target and not found:
             what += ", taken for the target,"
-        how = record.grasp.kind.value if record.grasp else ""
         parts = [f"{record.step:2d}  {record.outcome.value}"]
         if record.grasp:
-            parts.append(f"{what} by {how}")
+            parts.append(f"{what} by {record.grasp.kind.value}")
         parts.append(f"target {record.target_visible_fraction:.0%} visible")
         parts.append(f"support {record.support_before} px")
         if record.reason:
             parts.append(record.reason)
-        self._console.print("  ".join(parts), highlight=False, soft_wrap=True)
+        typer.echo("  ".join(parts))
 
 
-def check_output(path: Path | None) -> None:
-    """Checks that a file can be written, before the work for it is done.
-
-    Args:
-        path: of the file; None for none.
-
-    Raises:
-        ScenarioError: it is a folder, or in none.
-    """
-    if path is not None and path.is_dir():
-        raise ScenarioError(
-            f"cannot write {path}: it is a folder; name a file in it"
-        )
-    if path is not None and not path.absolute().parent.is_dir():
-        raise ScenarioError(
-            f"cannot write {path}: the folder "
-            f"{path.absolute().parent} does not exist"
-        )
-
-
-def run(options: SearchOptions, console: Console) -> int:
+def run(
+    name: str,
+    overrides: Mapping[str, Any],
+    *,
+    json: Path | None,
+    html: Path | None,
+    film_strip: Path | None,
+    live: bool,
+) -> int:
     """Runs the search and returns the exit status.
 
+    Args:
+        name: of a scenario, or a YAML file.
+        overrides: see :func:`xray_drake.cli.options.overrides`.
+        json: file for the record.
+        html: file for a page that plays the search.
+        film_strip: file for a picture of each decision.
+        live: show it on a page with buttons.
+
     Raises:
-        ScenarioError: bad input.
+        ValueError: bad input.
         OSError: a file that cannot be written.
         RuntimeError: the simulation failed, or no heap came to rest.
     """
-    scenario = configure(options.scenario, options.overrides)
-    strip = options.film_strip
-    if strip is not None and strip.suffix.lower() not in PICTURES:
-        raise ScenarioError(
-            f"no film strip can be written to {strip}: its name should end in "
-            f"{', '.join(PICTURES)}"
-        )
-    for path in options.files:
+    scenario = configure(name, overrides)
+    check_picture(film_strip)
+    for path in (json, html, film_strip):
         check_output(path)
-    narrator = _Narrator(console)
-    if options.meshcat:
-        return _run_live(scenario, options, narrator, console)
+    if live:
+        for option, path in (("--html", html), ("--film-strip", film_strip)):
+            if path is not None:
+                raise ValueError(
+                    f"{option} records a search from end to end: leave out "
+                    "--meshcat"
+                )
+        _run_live(scenario, json)
+        return 0
     film = FilmStrip()
-    observers = (narrator, film) if strip is not None else (narrator,)
-    heap = _drop(scenario, console)
-    if options.html is None:
+    observers = (_Narrator(), film) if film_strip else (_Narrator(),)
+    heap = _drop(scenario)
+    if html is None:
         diagram = build_search_diagram(scenario, heap=heap)
         record = run_search(diagram, observers=observers)
     else:
@@ -129,67 +99,49 @@ def run(options: SearchOptions, console: Console) -> int:
             scenario, heap=heap, meshcat=start_meshcat()
         )
         record, meshcat = record_search(diagram, observers=observers)
-    if options.json is not None:
-        write_record(record, options.json)
-    if options.html is not None:
-        write_html(meshcat, options.html)
-    if strip is not None and film.snapshots:
-        film.write(strip)
-    _summarize(record, options, console)
+    if json is not None:
+        write_record(record, json)
+    if html is not None:
+        write_html(meshcat, html)
+    if film_strip is not None and film.snapshots:
+        film.write(film_strip)
+    _summarize(record, [json, html, film_strip])
     return INTERRUPTED if record.end == "interrupted" else 0
 
 
-def _run_live(
-    scenario: Scenario,
-    options: SearchOptions,
-    narrator: _Narrator,
-    console: Console,
-) -> int:
-    for option, path in (
-        ("--html", options.html),
-        ("--film-strip", options.film_strip),
-    ):
-        if path is not None:
-            raise ScenarioError(
-                f"{option} records a search from end to end: leave out "
-                "--meshcat"
-            )
+def _run_live(scenario: Scenario, json: Path | None) -> None:
     meshcat = start_meshcat()
-    console.print(
+    typer.echo(
         f"open {meshcat.web_url()} and press run, step or new heap "
         "(under Open Controls); "
         "Ctrl-C here ends it"
     )
-    session = InteractiveSearch(scenario, meshcat, observers=(narrator,))
+    session = InteractiveSearch(scenario, meshcat, observers=(_Narrator(),))
     session.new_heap(scenario.seed)
     look_at_bin(meshcat, from_afar=scenario.gripper.execution == "contact")
     session.loop()
-    record = session.record
-    if record is not None:
-        if options.json is not None:
-            write_record(record, options.json)
-        _summarize(record, options, console)
-    return 0
+    if session.record is not None:
+        if json is not None:
+            write_record(session.record, json)
+        _summarize(session.record, [json])
 
 
-def _drop(scenario: Scenario, console: Console) -> Heap:
+def _drop(scenario: Scenario) -> Heap:
     count = scenario.scene.num_objects
-    with progress_bar(console, f"dropping {count} objects") as progress:
+    with progress_bar(Console(), f"dropping {count} objects") as progress:
         heap = make_heap(scenario, progress=progress)
-    console.print(
+    typer.echo(
         f"heap of seed {heap.seed}: {heap.target.name} under "
-        f"{len(heap.objects)} objects",
-        highlight=False,
+        f"{len(heap.objects)} objects"
     )
     return heap
 
 
-def _summarize(
-    record: SearchRecord, options: SearchOptions, console: Console
-) -> None:
-    table = Table(title=f"{record.policy} on seed {record.seed}")
-    for column in ("end", "actions", "target visible at the start", "support"):
-        table.add_column(column)
+def _summarize(record: SearchRecord, files: Sequence[Path | None]) -> None:
+    table = Table(
+        *("end", "actions", "target visible at the start", "support"),
+        title=f"{record.policy} on seed {record.seed}",
+    )
     start = record.start.get("target_visible_fraction")
     supports = [a.support_before for a in record.actions]
     if record.actions and record.actions[-1].support_after >= 0:
@@ -200,7 +152,7 @@ def _summarize(
         "unknown" if start is None else f"{start:.0%}",
         " → ".join(map(str, supports)),
     )
-    console.print(table)
-    for path in options.files:
-        if path.exists():
-            console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    Console().print(table)
+    for path in files:
+        if path is not None and path.exists():
+            typer.echo(f"wrote {path}")

@@ -5,13 +5,14 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress
 
 from xray_drake.cli.errors import complain, errors_as_lines
 from xray_drake.cli.exits import INTERRUPTED
-from xray_drake.cli.options import CORES, Mix
+from xray_drake.cli.options import CORES, Incomplete, Mix, Workers
+from xray_drake.cli.progress import counting_bar
 
 
+@errors_as_lines()
 def train(
     datasets: Annotated[
         list[Path],
@@ -39,18 +40,11 @@ def train(
         str | None,
         typer.Option(help="Begin with these, in place of random ones."),
     ] = None,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Processes that prepare, or read.")
-    ] = CORES,
+    workers: Workers = CORES,
     accelerator: Annotated[
         str, typer.Option(help="auto, cpu or gpu.")
     ] = "auto",
-    incomplete: Annotated[
-        bool,
-        typer.Option(
-            "--incomplete", help="Train on what is there of the datasets."
-        ),
-    ] = False,
+    incomplete: Incomplete = False,
     devices: Annotated[
         int, typer.Option(min=1, help="GPUs; processes with --accelerator cpu.")
     ] = 1,
@@ -60,55 +54,36 @@ def train(
     from xray_drake.training.run import CARD, CHECKPOINT, WEIGHTS, RunOptions
     from xray_drake.training.run import train as run
 
+    chosen = load_config(config)
+    for name in ("seed", "passes", "weights"):
+        if (value := locals()[name]) is not None:
+            setattr(chosen, name, value)
+    check_config(chosen, config)
     console = Console()
-    with errors_as_lines():
-        chosen = load_config(config)
-        if seed is not None:
-            chosen.seed = seed
-        if passes is not None:
-            chosen.passes = passes
-        if weights is not None:
-            chosen.weights = weights
-        check_config(chosen, config)
-        options = RunOptions(
-            out=out,
-            resume=resume,
-            mix=mix,
-            cache=cache,
-            workers=workers,
-            accelerator=accelerator,
-            devices=devices,
-            incomplete=incomplete,
-            progress=console.is_terminal,
-        )
-        columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-        bars = Progress(
-            *columns, console=console, disable=not console.is_terminal
-        )
-        task = bars.add_task("preparing shards", total=None)
-
-        def prepared(done: int, total: int) -> None:
-            if done == 0 or not bars.live.is_started:
-                bars.start()
-            bars.update(task, completed=done, total=total)
-            if done == total:
-                # The trainer draws a bar of its own.
-                bars.stop()
-
-        try:
+    options = RunOptions(
+        out=out,
+        resume=resume,
+        mix=mix,
+        cache=cache,
+        workers=workers,
+        accelerator=accelerator,
+        devices=devices,
+        incomplete=incomplete,
+        progress=console.is_terminal,
+    )
+    try:
+        # The trainer draws a bar of its own.
+        with counting_bar(console, "preparing shards") as prepared:
             card = run(datasets, chosen, options, prepared=prepared)
-        except KeyboardInterrupt:
-            raise complain(
-                "interrupted; go on with --resume if there is a "
-                f"{out / CHECKPOINT}",
-                INTERRUPTED,
-            ) from None
-        finally:
-            bars.stop()
-        for where, figures in card.figures.items():
-            text = ", ".join(f"{k} {v}" for k, v in figures.items())
-            console.print(f"{where}: {text}", highlight=False, soft_wrap=True)
-        console.print(card.training["made by"], highlight=False, soft_wrap=True)
-        console.print(
-            f"{out / WEIGHTS} and {out / CARD}", highlight=False, soft_wrap=True
+    except KeyboardInterrupt:
+        raise complain(
+            "interrupted; go on with --resume if there is a "
+            f"{out / CHECKPOINT}",
+            INTERRUPTED,
+        ) from None
+    for where, figures in card.figures.items():
+        typer.echo(
+            f"{where}: " + ", ".join(f"{k} {v}" for k, v in figures.items())
         )
+    typer.echo(card.training["made by"])
+    typer.echo(f"{out / WEIGHTS} and {out / CARD}")
