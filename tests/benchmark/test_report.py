@@ -15,13 +15,15 @@ from tests.benchmark.synthetic import (
     record,
     write_folder,
 )
+from xray_drake.benchmark.comparison import (
+    Report,
+    comma_separated,
+    make_report,
+)
 from xray_drake.benchmark.records import ROLLOUTS, Collection, collect
 from xray_drake.benchmark.report import (
     ACTIONS,
     SUCCESS,
-    Report,
-    comma_separated,
-    make_report,
     markdown,
     success_table,
     write_report,

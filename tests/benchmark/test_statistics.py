@@ -16,13 +16,10 @@ from xray_drake.benchmark.statistics import (
     containment,
     draws,
     drop_seconds,
-    ends,
     occluded,
-    outcomes,
     parts,
-    rollout_seconds,
+    quantities,
     seconds_a_rollout,
-    stage_seconds,
     start_shares,
     success_difference,
     success_rate,
@@ -55,6 +52,10 @@ LARGEST = [
     record("largest", 3, 10, "target_lost"),
     record("largest", 9, 1),
 ]
+
+
+def values(records: list[dict]) -> dict[str, float]:
+    return {k: e.value for k, e in quantities(records, 10).items()}
 
 
 def test_rates_by_hand() -> None:
@@ -231,26 +232,26 @@ def test_times() -> None:
         failure("xray", 2),
     ]
     records[0]["actions"][0]["seconds"] = {"perception": 0.1, "planning": 0.4}
-    assert rollout_seconds(records) == pytest.approx(8 / 3)
+    found = values(records)
+    assert found["core_seconds"] == pytest.approx(8 / 3)
     assert drop_seconds(records) == 4.0
     assert seconds_a_rollout(records) == pytest.approx((8 + 8) / 3)
-    assert stage_seconds(records) == pytest.approx(
-        {"perception": (0.1 + 4 * 0.02) / 5, "planning": 0.4, "occupancy": 0.03}
-    )
+    assert found["seconds_perception"] == pytest.approx((0.1 + 4 * 0.02) / 5)
+    assert found["seconds_planning"] == 0.4
+    assert found["seconds_occupancy"] == pytest.approx(0.03)
     assert math.isnan(seconds_a_rollout(records[-1:]))
     assert math.isnan(drop_seconds(records[-1:]))
-    assert math.isnan(rollout_seconds([]))
-    assert stage_seconds([]) == {}
+    assert math.isnan(values(records[-1:])["core_seconds"])
+    assert quantities([], 10) == {}
 
 
 def test_ends_and_outcomes() -> None:
-    assert ends(XRAY) == {"success": 3, "horizon": 1, "error": 1}
+    ends = {k: n for k, n in values(XRAY).items() if k.startswith("end_")}
+    assert ends == {"end_success": 3, "end_horizon": 1, "end_error": 1}
     records = [record("xray", 0, 3)]
     records[0]["actions"][1]["outcome"] = "failed"
-    assert outcomes([*records, failure("xray", 1)]) == {
-        "lifted": 2,
-        "failed": 1,
-    }
+    found = values([*records, failure("xray", 1)])
+    assert (found["attempts_lifted"], found["attempts_failed"]) == (2, 1)
 
 
 def test_many_records_tell_policies_apart() -> None:

@@ -9,8 +9,9 @@ import pytest
 
 from tests.benchmark.synthetic import record, write_folder
 from tests.cli.running import answer
+from xray_drake.benchmark.comparison import make_report
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
-from xray_drake.benchmark.report import make_report, success_table
+from xray_drake.benchmark.report import success_table
 from xray_drake.benchmark.variants import Variant
 from xray_drake.cli import benchmark as module
 from xray_drake.files import sole_writer

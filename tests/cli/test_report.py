@@ -5,8 +5,9 @@ import pytest
 
 from tests.benchmark.synthetic import record, write_folder
 from tests.cli.running import answer
+from xray_drake.benchmark.comparison import make_report
 from xray_drake.benchmark.records import collect
-from xray_drake.benchmark.report import make_report, markdown, success_table
+from xray_drake.benchmark.report import markdown, success_table
 
 report = partial(answer, "report")
 

@@ -40,6 +40,17 @@ class Estimate:
     heaps: int
 
 
+NONE = Estimate(np.nan, np.nan, np.nan, 0)
+"""Of no heaps."""
+
+QUARTILES = (
+    "actions_lower_quartile",
+    "actions_median",
+    "actions_upper_quartile",
+)
+"""Names of :func:`action_quartiles`."""
+
+
 @dataclass(frozen=True)
 class Part:
     """Some of the heaps.
@@ -55,10 +66,57 @@ class Part:
     heaps: frozenset[HeapKey]
 
 
+def quantities(records: Sequence[Record], horizon: int) -> dict[str, Estimate]:
+    """Returns what records of one variant say, by the names of report.csv.
+
+    What is no rate has no interval, and numbers of ends and attempts are whole.
+    Empty without records.
+
+    Args:
+        records: of one variant, at most one each heap.
+        horizon: actions at most.
+    """
+    if not records:
+        return {}
+    values: dict[str, float] = dict(
+        zip(QUARTILES, action_quartiles(records), strict=True)
+    )
+    for k, value in enumerate(success_within(records, horizon), 1):
+        values[f"success_within_{k}"] = value
+    for prefix, counts in (
+        ("end", Counter(record["end"] for record in records)),
+        (
+            "attempts",
+            Counter(a["outcome"] for a in _actions(records) if "outcome" in a),
+        ),
+    ):
+        values |= {f"{prefix}_{k}": n for k, n in sorted(counts.items())}
+    stages: dict[str, list[float]] = {}
+    for action in _actions(records):
+        for stage, seconds in (action.get("seconds") or {}).items():
+            stages.setdefault(stage, []).append(seconds)
+    values |= {f"seconds_{s}": float(np.mean(t)) for s, t in stages.items()}
+    values["core_seconds"] = _mean(
+        [r["cpu_seconds"]["rollout"] for r in records if "cpu_seconds" in r]
+    )
+    return {"success_rate": success_rate(records)} | {
+        name: Estimate(value, np.nan, np.nan, len(records))
+        for name, value in values.items()
+    }
+
+
+def _actions(records: Sequence[Record]) -> list[dict[str, Any]]:
+    return [a for record in records for a in record.get("actions", [])]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else np.nan
+
+
 def success_rate(records: Sequence[Record]) -> Estimate:
     """Returns the share of successes with Wilson's interval."""
     if not records:
-        return Estimate(np.nan, np.nan, np.nan, 0)
+        return NONE
     successes = sum(record["success"] for record in records)
     interval = binomtest(successes, len(records)).proportion_ci(method="wilson")
     return Estimate(
@@ -107,7 +165,7 @@ def bootstrap_mean(
         seed: of the draws.
     """
     if not len(values):
-        return Estimate(np.nan, np.nan, np.nan, 0)
+        return NONE
     distinct, counts = np.unique(np.asarray(values, float), return_counts=True)
     n = len(values)
     drawn = stream(seed, "bootstrap").multinomial(n, counts / n, resamples)
@@ -254,22 +312,14 @@ def _thirds(found: Mapping[HeapKey, Mapping[str, float]]) -> list[Part]:
     groups: dict[int, set[HeapKey]] = {0: set(), 1: set(), 2: set()}
     for heap, size in sizes.items():
         groups[int(size > low) + int(size > high)].add(heap)
+    titles = {
+        "cover_small": f"cover up to {low:.1f} ×",
+        "cover_middle": f"cover {low:.1f} to {high:.1f} ×",
+        "cover_large": f"cover over {high:.1f} ×",
+    }
     return [
-        Part(
-            "cover_small",
-            f"cover up to {low:.1f} ×",
-            frozenset(groups[0]),
-        ),
-        Part(
-            "cover_middle",
-            f"cover {low:.1f} to {high:.1f} ×",
-            frozenset(groups[1]),
-        ),
-        Part(
-            "cover_large",
-            f"cover over {high:.1f} ×",
-            frozenset(groups[2]),
-        ),
+        Part(key, title, frozenset(groups[i]))
+        for i, (key, title) in enumerate(titles.items())
     ]
 
 
@@ -304,35 +354,13 @@ def containment(
     return float(np.mean(inside >= share)), float(np.mean(inside >= 1.0))
 
 
-def stage_seconds(records: Sequence[Record]) -> dict[str, float]:
-    """Returns the mean wall time of each stage of a decision, s."""
-    decisions: list[dict[str, Any]] = [
-        action["seconds"]
-        for record in records
-        for action in record.get("actions", [])
-        if action.get("seconds")
-    ]
-    stages = dict.fromkeys(name for d in decisions for name in d)
-    return {
-        stage: float(np.mean([d[stage] for d in decisions if stage in d]))
-        for stage in stages
-    }
-
-
-def rollout_seconds(records: Sequence[Record]) -> float:
-    """Returns the mean processor time of a rollout without its drop, s."""
-    times = [r["cpu_seconds"]["rollout"] for r in records if "cpu_seconds" in r]
-    return float(np.mean(times)) if times else np.nan
-
-
 def drop_seconds(records: Sequence[Record]) -> float:
     """Returns the mean processor time of a heap's drop, redraws included, s.
 
     Args:
         records: of any variants; each heap counts once, by its first record.
     """
-    drops = _drops(records)
-    return float(np.mean(list(drops.values()))) if drops else np.nan
+    return _mean([*_drops(records).values()])
 
 
 def seconds_a_rollout(records: Sequence[Record]) -> float:
@@ -354,18 +382,3 @@ def _drops(records: Sequence[Record]) -> dict[HeapKey, float]:
         if "cpu_seconds" in record:
             drops.setdefault(heap_of(record), record["cpu_seconds"]["drop"])
     return drops
-
-
-def ends(records: Sequence[Record]) -> Counter[str]:
-    """Counts how rollouts ended."""
-    return Counter(record["end"] for record in records)
-
-
-def outcomes(records: Sequence[Record]) -> Counter[str]:
-    """Counts how attempts ended, ``no_grasp`` included."""
-    return Counter(
-        action["outcome"]
-        for record in records
-        for action in record.get("actions", [])
-        if "outcome" in action
-    )

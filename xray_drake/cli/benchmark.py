@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
+from xray_drake.benchmark.comparison import make_report
 from xray_drake.benchmark.paper import changes
 from xray_drake.benchmark.records import (
     ROLLOUTS,
@@ -14,7 +15,7 @@ from xray_drake.benchmark.records import (
     heap_of,
     read_rollouts,
 )
-from xray_drake.benchmark.report import make_report, success_table
+from xray_drake.benchmark.report import success_table
 from xray_drake.benchmark.rollouts import begun, run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
 from xray_drake.cli.configure import configure

@@ -20,12 +20,9 @@ def report(
     ] = None,
 ) -> None:
     """Write the paper's Table II, Figure 6 and more from rollouts."""
+    from xray_drake.benchmark.comparison import make_report
     from xray_drake.benchmark.records import collect
-    from xray_drake.benchmark.report import (
-        make_report,
-        success_table,
-        write_report,
-    )
+    from xray_drake.benchmark.report import success_table, write_report
 
     collection = collect(folders)
     made = make_report(collection)
