@@ -277,7 +277,7 @@ def test_a_heap_is_looked_at_before_it_counts() -> None:
     given = scenario(10_000, 1)
     given.scene.most_visible = 0.9
     heap = make_heap(given)
-    assert look_at_heap(given, heap).visible_fraction <= 0.9
+    assert look_at_heap(given, heap).target_visible_fraction <= 0.9
     assert heap.redrawn > 0
 
 

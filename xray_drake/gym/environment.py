@@ -394,7 +394,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
             diagram.heap.target.name,
         )
         rho = self._eval("occupancy_inference.occupancy")
-        return SearchState(rho.support_size(), view.visible_fraction)
+        return SearchState(rho.support_size(), view.target_visible_fraction)
 
     def _answer(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Returns observation and info; what is given away may be changed."""

@@ -1,7 +1,8 @@
 """Watches a search: records each action and ends the rollout."""
 
 from collections.abc import Collection
-from typing import Protocol
+from dataclasses import asdict
+from typing import Any, Protocol
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
@@ -13,7 +14,6 @@ from xray_drake.lifetimes import my_context
 from xray_drake.messages import (
     GripperMode,
     GripperStatus,
-    OccupancyDistribution,
     Outcome,
     SearchAction,
 )
@@ -69,26 +69,12 @@ class SearchMonitor:
             diagram: the search.
             observers: told of decisions and of ends of actions.
         """
-        scenario, heap = diagram.scenario, diagram.heap
+        scenario, station = diagram.scenario, diagram.station
         self._diagram = diagram
         self._observers = observers
-        self._horizon = scenario.horizon
-        self._target = heap.target
+        self._target = diagram.heap.target
         self._action = diagram.GetOutputPort("search_policy.action")
-        # What the gripper is told: the grasp, and the body that it is on.
-        self._on_body = diagram.GetOutputPort(
-            "grasped_body.action"
-            if diagram.HasSubsystemNamed("grasped_body")
-            else "search_policy.action"
-        )
         self._status = diagram.GetOutputPort("gripper_controller.status")
-        self._occupancy = diagram.GetOutputPort("occupancy_inference.occupancy")
-        self._poses = diagram.GetOutputPort("cheat.body_poses")
-        name = scenario.camera.name
-        self._camera = diagram.GetOutputPort(f"{name}.camera")
-        self._labels = diagram.GetOutputPort(f"{name}.label_image")
-        self._removed: set[str] = set()
-        station = diagram.station
         gripper = station.gripper
         self._by_contact = gripper is not None
         self._sleep = SleepMonitor(
@@ -98,31 +84,12 @@ class SearchMonitor:
             movers=gripper.bodies(station.plant) if gripper else (),
         )
         self._settle_awake = scenario.gripper.quasi_static.settle_awake
+        self._removed: set[str] = set()
         self._decided = 0
-        self._drawing = False
+        self._moving = False
         self._began = 0.0
         self._cleared = False
-        self.record = SearchRecord(
-            horizon=scenario.horizon,
-            policy=AGENT if diagram.agent else scenario.policy.name,
-            occupancy=scenario.perception.occupancy,
-            execution=scenario.gripper.execution,
-            seed=scenario.seed,
-            target=heap.target.name,
-            objects=[model.name for model in heap.objects],
-            start={
-                "target_tilt_deg": float(np.rad2deg(heap.target_tilt)),
-                "num_dropped": heap.num_dropped,
-                "attempts": heap.attempts,
-                "redrawn": heap.redrawn,
-            },
-            target_first=scenario.policy.target_first and not diagram.agent,
-            scenario=record_scenario(scenario),
-            policy_source=""
-            if diagram.agent
-            else POLICIES[scenario.policy.name].source,
-            provenance=scenario_provenance(scenario),
-        )
+        self.record = _begun(diagram)
 
     def __call__(self, root_context: Context) -> EventStatus:
         """Looks at the search after a step."""
@@ -137,12 +104,11 @@ class SearchMonitor:
             # Whatever the gripper holds, the target may hang on it.
             if status.held and not self._cleared:
                 self._cleared = self._is_clear(context)
-            self._let_sleep_by_contact(root_context, status)
         else:
             if status.held == self._target.name and self._is_clear(context):
                 self._finish(context, Outcome.LIFTED, "", "success")
                 return self._termination()
-            self._let_sleep(root_context, status)
+        self._let_sleep(root_context, status)
         done = (
             status.mode is GripperMode.IDLE
             and status.number == self._decided > 0
@@ -163,46 +129,42 @@ class SearchMonitor:
         """Lets the heap sleep, but for what the gripper stirs.
 
         What is drawn out wakes what it disturbs, and that comes to rest again.
-        All in the bin are awake after a slip, and where the scenario says so.
+        All in the bin are awake after a slip of the ideal gripper, and where
+        the scenario says so. By contact, what is at rest and far from the
+        gripper sleeps. While the gripper is idle all sleep, so that pictures
+        of one decision are of one heap.
         """
-        all_awake = status.settling and (self._settle_awake or not status.held)
-        drawing = status.stirring and not all_awake
-        if drawing:
-            if not self._drawing:
-                self._sleep.forget()
-            self._sleep(root_context, awake=status.loose)
+        asleep = {*self._diagram.station.objects}
+        if self._by_contact:
+            moving, loose = status.mode is not GripperMode.IDLE, set()
         else:
-            objects = self._diagram.station.objects.keys()
-            asleep = self._removed if all_awake else objects
-            self._sleep.set_asleep(root_context, asleep - set(status.loose))
-        self._drawing = drawing
-
-    def _let_sleep_by_contact(
-        self, root_context: Context, status: GripperStatus
-    ) -> None:
-        """Lets sleep what is at rest and far from the gripper.
-
-        While the gripper is idle all sleep, so that pictures of one decision
-        are of one heap.
-        """
-        busy = status.mode is not GripperMode.IDLE
-        if busy:
-            if not self._drawing:
-                self._sleep.forget()
-            self._sleep(root_context)
+            loose = set(status.loose)
+            moving = status.stirring
+            if status.settling and (self._settle_awake or not status.held):
+                moving, asleep = False, self._removed
+        if not moving:
+            self._sleep.set_asleep(root_context, asleep - loose)
         else:
-            objects = self._diagram.station.objects.keys()
-            self._sleep.set_asleep(root_context, objects)
-        self._drawing = busy
+            if not self._moving:
+                self._sleep.forget()
+            self._sleep(root_context, awake=loose)
+        self._moving = moving
 
     def _termination(self) -> EventStatus:
         return EventStatus.ReachedTermination(
             self._diagram, f"the search ended: {self.record.end}"
         )
 
+    def _eval(self, context: Context, port: str) -> Any:
+        return self._diagram.GetOutputPort(port).Eval(context)
+
+    def _camera_port(self, context: Context, port: str) -> Any:
+        name = self._diagram.scenario.camera.name
+        return self._eval(context, f"{name}.{port}")
+
     def _target_pose(self, context: Context) -> np.ndarray:
-        index = self._diagram.station.objects[self._target.name].body.index()
-        return self._poses.Eval(context)[int(index)].GetAsMatrix4()
+        index = self._diagram.station.labels[self._target.name]
+        return self._eval(context, "cheat.body_poses")[index].GetAsMatrix4()
 
     def amodal_mask(self, context: Context) -> np.ndarray:
         """Returns the target's (H, W) bool pixels as if it lay alone.
@@ -214,7 +176,7 @@ class SearchMonitor:
             self._target.visual.vertices,
             self._target.visual.faces,
             self._target_pose(context),
-            self._camera.Eval(context),
+            self._camera_port(context, "camera"),
         )
 
     def _is_clear(self, context: Context) -> bool:
@@ -231,7 +193,7 @@ class SearchMonitor:
         action: SearchAction = self._action.Eval(context)
         if status.outcome is Outcome.NO_GRASP and not action.invalid:
             return "nothing_graspable"
-        if len(self.record.actions) >= self._horizon:
+        if self.record.num_actions >= self.record.horizon:
             return "horizon"
         return ""
 
@@ -242,12 +204,12 @@ class SearchMonitor:
         amodal = self.amodal_mask(context)
         pixels = max(int(np.count_nonzero(amodal)), 1)
         visible = action.target_pixels / pixels
-        support = self._occupancy.Eval(context).support()
-        inside = np.count_nonzero(support & amodal) / pixels
+        rho = self._eval(context, "occupancy_inference.occupancy")
+        inside = np.count_nonzero(rho.support() & amodal) / pixels
         record = self.record
         if not record.actions:
-            record.start["target_visible_fraction"] = visible
             record.start |= self._cover(context, amodal)
+            record.start["target_visible_fraction"] = visible
         elif record.actions[-1].support_after < 0:
             record.actions[-1].support_after = action.support
             record.actions[-1].support_01_after = action.support_01
@@ -271,33 +233,28 @@ class SearchMonitor:
             observer.decided(self._diagram, context, action)
 
     def _grasped_body(self, context: Context, action: SearchAction) -> str:
-        if not action.grasp:
-            return ""
-        told: SearchAction = self._on_body.Eval(context)
-        return told.grasp.object
+        """Returns the name of the body that the gripper is told to take."""
+        if action.grasp and self._diagram.HasSubsystemNamed("grasped_body"):
+            action = self._eval(context, "grasped_body.action")
+        return action.grasp.object
 
     def _cover(self, context: Context, amodal: np.ndarray) -> dict[str, float]:
         view = target_view(
-            self._labels.Eval(context).data[:, :, 0],
+            self._camera_port(context, "label_image").data[:, :, 0],
             amodal,
             self._diagram.station.labels,
             self._target.name,
         )
-        return {
-            "target_pixels": view.pixels,
-            "cover_pixels": view.cover_pixels,
-            "cover_fraction": view.cover_fraction,
-            "num_covers": view.num_covers,
-        }
+        return asdict(view)
 
     def _finish(
         self, context: Context, outcome: Outcome, reason: str, end: str
     ) -> None:
         action = self.record.actions[-1]
-        poses = self._poses.Eval(context)
+        poses = self._eval(context, "cheat.body_poses")
         places = {
-            name: poses[int(item.body.index())].translation()
-            for name, item in self._diagram.station.objects.items()
+            name: poses[index].translation()
+            for name, index in self._diagram.station.labels.items()
         }
         removed = {n for n, p_WO in places.items() if not inside_bin(p_WO)}
         if self._by_contact:
@@ -319,11 +276,39 @@ class SearchMonitor:
         if end == "success":
             action.support_after = action.support_01_after = 0
         elif end:
-            rho: OccupancyDistribution = self._occupancy.Eval(context)
+            rho = self._eval(context, "occupancy_inference.occupancy")
             action.support_after = rho.support_size()
             action.support_01_after = rho.support_01_size()
         for observer in self._observers:
             observer.ended(self._diagram, context, action)
+
+
+def _begun(diagram: SearchDiagram) -> SearchRecord:
+    """Returns the record of a search before its first decision."""
+    scenario, heap = diagram.scenario, diagram.heap
+    policy, source = AGENT, ""
+    if not diagram.agent:
+        policy = scenario.policy.name
+        source = POLICIES[policy].source
+    return SearchRecord(
+        horizon=scenario.horizon,
+        policy=policy,
+        policy_source=source,
+        occupancy=scenario.perception.occupancy,
+        execution=scenario.gripper.execution,
+        seed=scenario.seed,
+        target=heap.target.name,
+        objects=[model.name for model in heap.objects],
+        start={
+            "target_tilt_deg": float(np.rad2deg(heap.target_tilt)),
+            "num_dropped": heap.num_dropped,
+            "attempts": heap.attempts,
+            "redrawn": heap.redrawn,
+        },
+        target_first=scenario.policy.target_first and not diagram.agent,
+        scenario=record_scenario(scenario),
+        provenance=scenario_provenance(scenario),
+    )
 
 
 def judge_outcome(

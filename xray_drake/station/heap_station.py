@@ -96,38 +96,23 @@ def build_heap_station(
     plant.Finalize()
     if gripper is None:
         _add_drawn_gripper(builder, scene_graph)
-    else:
-        _export_gripper(builder, plant, gripper)
-    sensor, camera = add_camera(builder, scene_graph, scenario.camera)
-
     if meshcat is not None:
+        period = scenario.visualization.publish_period
         MeshcatVisualizer.AddToBuilder(
             builder,
             scene_graph,
             meshcat,
-            MeshcatVisualizerParams(
-                publish_period=scenario.visualization.publish_period
-            ),
+            MeshcatVisualizerParams(publish_period=period),
         )
-
-    builder.ExportInput(
-        plant.get_applied_spatial_force_input_port(), "applied_spatial_force"
-    )
+    _export_plant(builder, plant, gripper)
+    query = scene_graph.get_query_output_port()
+    builder.ExportOutput(query, "query_object")
     name = scenario.camera.name
-    for port, exported in (
-        (sensor.color_image_output_port(), f"{name}.color_image"),
-        (sensor.depth_image_32F_output_port(), f"{name}.depth_image"),
-        (sensor.label_image_output_port(), f"{name}.label_image"),
-        (camera.get_output_port(), f"{name}.camera"),
-        (scene_graph.get_query_output_port(), "query_object"),
-        (plant.get_contact_results_output_port(), "contact_results"),
-        (plant.get_body_poses_output_port(), "cheat.body_poses"),
-        (
-            plant.get_body_spatial_velocities_output_port(),
-            "cheat.body_spatial_velocities",
-        ),
-    ):
-        builder.ExportOutput(port, exported)
+    sensor, camera = add_camera(builder, scene_graph, scenario.camera)
+    for image in ("color_image", "depth_image", "label_image"):
+        port = image.replace("depth_image", "depth_image_32f")
+        builder.ExportOutput(sensor.GetOutputPort(port), f"{name}.{image}")
+    builder.ExportOutput(camera.get_output_port(), f"{name}.camera")
     station = builder.Build()
     station.set_name("heap_station")
     parts = StationParts(
@@ -140,9 +125,19 @@ def build_heap_station(
     return station, parts
 
 
-def _export_gripper(
-    builder: DiagramBuilder, plant: MultibodyPlant, gripper: YumiGripper
+def _export_plant(
+    builder: DiagramBuilder, plant: MultibodyPlant, gripper: YumiGripper | None
 ) -> None:
+    builder.ExportInput(
+        plant.get_applied_spatial_force_input_port(), "applied_spatial_force"
+    )
+    for port in ("body_poses", "body_spatial_velocities"):
+        builder.ExportOutput(plant.GetOutputPort(port), f"cheat.{port}")
+    builder.ExportOutput(
+        plant.get_contact_results_output_port(), "contact_results"
+    )
+    if gripper is None:
+        return
     for name, instance in (
         ("carrier", gripper.carrier_instance),
         ("fingers", gripper.finger_instance),

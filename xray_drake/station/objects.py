@@ -155,7 +155,7 @@ def make_heap(
         attempts, failures = attempts + heap.attempts, failures + heap.failures
         if (
             most_visible == 1
-            or look_at_heap(drawn, heap).visible_fraction <= most_visible
+            or look_at_heap(drawn, heap).target_visible_fraction <= most_visible
         ):
             return replace(
                 heap,

@@ -21,16 +21,16 @@ class TargetView:
     """What the overhead camera sees of a target and of what lies over it.
 
     Attributes:
-        pixels: of the target's amodal mask, at least 1.
-        visible_fraction: share of them that show the target.
+        target_pixels: of the target's amodal mask, at least 1.
+        target_visible_fraction: share of them that show the target.
         cover_pixels: of the modal mask of the object that covers most of the
             target; 0 where nothing covers it.
         cover_fraction: share of the amodal mask that this object covers.
         num_covers: objects that cover a hundredth of the amodal mask or more.
     """
 
-    pixels: int
-    visible_fraction: float
+    target_pixels: int
+    target_visible_fraction: float
     cover_pixels: int
     cover_fraction: float
     num_covers: int
@@ -60,8 +60,8 @@ def target_view(
     covers = {k: n for k, n in overlaps.items() if n >= _COVERS * pixels}
     overlap, first = max(((n, k) for k, n in covers.items()), default=(0, -1))
     return TargetView(
-        pixels=pixels,
-        visible_fraction=min(int(seen) / pixels, 1.0),
+        target_pixels=pixels,
+        target_visible_fraction=min(int(seen) / pixels, 1.0),
         cover_pixels=int(np.count_nonzero(labels == first)) if covers else 0,
         cover_fraction=overlap / pixels,
         num_covers=len(covers),

@@ -103,7 +103,7 @@ def measure_heap(item: Line) -> Line:
         "tilt": float(np.rad2deg(heap.target_tilt)),
         "height": 1e3 * max(tops),
         "spread": 1e3 * float(np.sqrt(places.var(axis=0).sum())),
-        "visible": look_at_heap(Scenario(), heap).visible_fraction,
+        "visible": look_at_heap(Scenario(), heap).target_visible_fraction,
         **_motion(heap, contact),
     }
 
