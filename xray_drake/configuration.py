@@ -34,6 +34,9 @@ import yaml
 SEEDS = f"[0, {2**63 - 1}]"
 """Range of a seed: datasets keep them in 64 bits."""
 
+BIN_FLOOR = (-0.25, 0.25, -0.20, 0.20)
+"""Inside of the bin's floor: x low, x high, y low, y high, m (PROTOCOL.md)."""
+
 _RULE = "rule"
 _PATH = "path"
 
@@ -203,10 +206,10 @@ def number_list(
 def bin_floor() -> Any:
     """A field of a dataclass: x low, x high, y low, y high of a floor, m.
 
-    The default is the inside of the bin's floor (PROTOCOL.md, "Scene").
+    The default is :data:`BIN_FLOOR`.
     """
     return field(
-        default_factory=lambda: [-0.25, 0.25, -0.20, 0.20],
+        default_factory=lambda: list(BIN_FLOOR),
         metadata={_RULE: Rectangle()},
     )
 

@@ -3,10 +3,13 @@ import pytest
 
 from xray_drake.dataset.pictures import Photographer
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.scene.cameras import CameraSampling, sample_camera
+from xray_drake.scene.cameras import (
+    CameraSampling,
+    nominal_camera,
+    sample_camera,
+)
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import TexturedMesh
-from xray_drake.station.scenario import nominal_camera
 from xray_drake.testing.tiny import Observation
 
 

@@ -21,7 +21,7 @@ from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
 from xray_drake.messages import GraspKind, Outcome, SearchAction
-from xray_drake.scene.cameras import add_camera
+from xray_drake.scene.cameras import add_camera, nominal_camera
 from xray_drake.scene.plant import (
     TOTE_POSITION,
     add_bin,
@@ -29,7 +29,6 @@ from xray_drake.scene.plant import (
     default_plant_config,
 )
 from xray_drake.scene.targets import target_model
-from xray_drake.station.scenario import nominal_camera
 
 LIFT = 0.2
 

@@ -25,7 +25,7 @@ from xray_drake.gripper.grip_surfaces import PAD, add_grip_surfaces
 from xray_drake.gripper.transfer import HOME
 from xray_drake.gripper.yumi import FINGER_JOINTS, add_gripper
 from xray_drake.resources import models_dir
-from xray_drake.scene.cameras import add_camera
+from xray_drake.scene.cameras import add_camera, nominal_camera
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
     add_bin,
@@ -35,7 +35,6 @@ from xray_drake.scene.plant import (
 )
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
-from xray_drake.station.scenario import nominal_camera
 
 STEP = 0.005
 

@@ -19,7 +19,7 @@ from pydrake.systems.sensors import CameraConfig
 from tests.occupancy.brute_force_label import brute_force_label
 from tests.occupancy.label_scenes import draw_sample
 from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
-from xray_drake.scene.cameras import add_camera, pinhole_camera
+from xray_drake.scene.cameras import add_camera, nominal_camera, pinhole_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
@@ -28,7 +28,6 @@ from xray_drake.scene.plant import (
     add_plant,
     default_plant_config,
 )
-from xray_drake.station.scenario import nominal_camera
 
 SAMPLES = int(os.environ.get("XRAY_LABEL_SAMPLES", "12"))
 

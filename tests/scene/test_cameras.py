@@ -13,6 +13,7 @@ from xray_drake.scene.cameras import (
     CameraSampling,
     add_camera,
     add_renderer,
+    nominal_camera,
     pinhole_camera,
     sample_camera,
 )
@@ -25,7 +26,6 @@ from xray_drake.scene.plant import (
 )
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
-from xray_drake.station.scenario import nominal_camera
 
 LID = target_model("lid")
 

@@ -147,9 +147,8 @@ def _render() -> str:
 
     from pydrake.systems.framework import DiagramBuilder
 
-    from xray_drake.scene.cameras import add_camera
+    from xray_drake.scene.cameras import add_camera, nominal_camera
     from xray_drake.scene.plant import add_bin, add_plant, default_plant_config
-    from xray_drake.station.scenario import nominal_camera
 
     builder = DiagramBuilder()
     plant, scene_graph = add_plant(builder, default_plant_config())

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.common.schema import Transform
+from pydrake.common.schema import Rotation, Transform
 from pydrake.common.value import Value
 from pydrake.geometry import (
     LightParameter,
     MakeRenderEngineVtk,
     RenderEngineVtkParams,
+    Rgba,
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
@@ -30,6 +31,34 @@ says of pixels with centres at integers.)"""
 
 _LOOKS = 48
 """Rows and columns of pixels that are asked for what they see."""
+
+
+def nominal_camera() -> CameraConfig:
+    """Returns the overhead camera of PROTOCOL.md.
+
+    Nominal Photoneo PhoXi S intrinsics scaled to 512×384, 0.8 m above the
+    floor, straight down, image x along world x.
+    """
+    return CameraConfig(
+        name="overhead",
+        width=512,
+        height=384,
+        focal=CameraConfig.FocalLength(x=552.5, y=552.5),
+        center_x=255.5,
+        center_y=191.5,
+        X_PB=Transform(
+            base_frame="world",
+            translation=[0.0, 0.0, 0.8],
+            rotation=Rotation(value=Rotation.Rpy(deg=[180.0, 0.0, 0.0])),
+        ),
+        z_near=0.1,
+        z_far=3.0,
+        clipping_near=0.05,
+        clipping_far=5.0,
+        renderer_class="RenderEngineVtk",
+        label=True,
+        background=Rgba(0.25, 0.27, 0.30),
+    )
 
 
 def pinhole_camera(config: CameraConfig) -> PinholeCamera:

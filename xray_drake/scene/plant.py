@@ -38,6 +38,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import DiagramBuilder
 
+from xray_drake.configuration import BIN_FLOOR
 from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.contact import (
     ContactConfig,
@@ -48,8 +49,7 @@ from xray_drake.scene.meshes.textured import drake_mesh
 from xray_drake.scene.object_model import ObjectModel, shaded
 from xray_drake.scene.parsing import configure_parser
 
-BIN_FLOOR_X = (-0.25, 0.25)
-BIN_FLOOR_Y = (-0.20, 0.20)
+BIN_FLOOR_X, BIN_FLOOR_Y = BIN_FLOOR[:2], BIN_FLOOR[2:]
 BIN_WALL_HEIGHT = 0.12
 """Inside of the bin, m (PROTOCOL.md); the floor's top is z = 0."""
 

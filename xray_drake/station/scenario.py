@@ -7,9 +7,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from pydrake.common.schema import Rotation, Transform
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
-from pydrake.geometry import Rgba
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
@@ -67,9 +65,11 @@ from xray_drake.scene.cameras import (
     CameraSampling,
     check_renderer,
     check_view,
+    nominal_camera,
 )
 from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import HeapConfig
+from xray_drake.scene.meshes.importer import TIME_LIMIT
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.splits import SPLITS
 from xray_drake.station.drake_rules import (
@@ -122,7 +122,7 @@ class SceneConfig:
     mesh_scale: float = number(1.0, "(0, 1000000]")
     # s that preparing one of the meshes may take; it is left out if it takes
     # longer.
-    mesh_time_limit: float = number(300.0, "(0, 1000000]")
+    mesh_time_limit: float = number(TIME_LIMIT, "(0, 1000000]")
     # A heap whose target starts more visible than this is drawn again; at 1
     # all heaps count.
     most_visible: float = number(1.0, "[0, 1]")
@@ -207,34 +207,6 @@ class GripperConfig:
     contact: ExecutionConfig = field(default_factory=ExecutionConfig)
     # The suction cup of "contact".
     suction: SuctionConfig = field(default_factory=SuctionConfig)
-
-
-def nominal_camera() -> CameraConfig:
-    """Returns the overhead camera of PROTOCOL.md.
-
-    Nominal Photoneo PhoXi S intrinsics scaled to 512×384, 0.8 m above the
-    floor, straight down, image x along world x.
-    """
-    return CameraConfig(
-        name="overhead",
-        width=512,
-        height=384,
-        focal=CameraConfig.FocalLength(x=552.5, y=552.5),
-        center_x=255.5,
-        center_y=191.5,
-        X_PB=Transform(
-            base_frame="world",
-            translation=[0.0, 0.0, 0.8],
-            rotation=Rotation(value=Rotation.Rpy(deg=[180.0, 0.0, 0.0])),
-        ),
-        z_near=0.1,
-        z_far=3.0,
-        clipping_near=0.05,
-        clipping_far=5.0,
-        renderer_class="RenderEngineVtk",
-        label=True,
-        background=Rgba(0.25, 0.27, 0.30),
-    )
 
 
 @dataclass(slots=True, eq=False)
