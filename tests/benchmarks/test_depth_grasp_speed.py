@@ -15,7 +15,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.grasping.depth_scenes import at, block, clutter, see
 from tests.occupancy.scenes import CAMERAS
-from xray_drake.grasping.depth_planner import DepthGraspPlanner
+from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
+from xray_drake.grasping.planner import GraspPlanner
 
 # Time of the one thread's core, lest other processes on it count.
 pytestmark = pytest.mark.benchmark(timer=time.process_time)
@@ -35,8 +36,9 @@ def time_plan(
     benchmark: BenchmarkFixture, meshes: list[trimesh.Trimesh]
 ) -> None:
     depth, mask = see(CAMERA, *meshes)
-    planner = DepthGraspPlanner()
-    grasp = benchmark(planner.plan, "it", mask, depth, CAMERA)
+    planner = GraspPlanner(DepthEvidence())
+    seen = SeenObject(mask, depth, CAMERA)
+    grasp = benchmark(planner.plan, "it", seen)
     assert grasp.quality > 0
 
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.occupancy.brute_force import render
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.depth_surface import DepthSurface, observe
+from xray_drake.grasping.evidence.depth_surface import DepthSurface, observe
 
 
 def at(x, y, z, roll=0.0, pitch=0.0, yaw=0.0):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from xray_drake.grasping.clearance import clearance
+from xray_drake.grasping.evidence.clearance import clearance
 
 LOWER = np.array([[-0.02, -0.01, -0.01]])
 UPPER = np.array([[0.02, 0.01, 0.01]])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from xray_drake.grasping.collision import GraspScene
+from xray_drake.grasping.evidence.collision import GraspScene
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.scene.object_model import object_from_pieces
 

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.grasping.depth_scenes import at, block, clutter, downwards, see
 from tests.occupancy.scenes import CAMERAS
-from xray_drake.grasping.depth_approach import ApproachShape
-from xray_drake.grasping.depth_free_space import FreeSpace
+from xray_drake.grasping.evidence.approach_shape import ApproachShape
+from xray_drake.grasping.evidence.free_space import FreeSpace
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.messages import GraspKind
 from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y, BIN_WALL_HEIGHT

@@ -18,15 +18,17 @@ from tests.grasping.depth_scenes import (
 )
 from tests.grasping.test_depth_free_space import depth_inside
 from tests.occupancy.scenes import CAMERAS
-from xray_drake.grasping.candidates import same_grasp
-from xray_drake.grasping.depth_judge import guess_weight
-from xray_drake.grasping.depth_planner import (
-    DepthGraspPlanner,
+from xray_drake.grasping.candidates import is_among
+from xray_drake.grasping.evidence.depth import (
+    DepthEvidence,
     DepthPlannerConfig,
+    SeenObject,
+    guess_weight,
 )
-from xray_drake.grasping.depth_surface import observe
-from xray_drake.grasping.judgement import GRAVITY, GraspJudge
-from xray_drake.grasping.planner import ModelGraspPlanner
+from xray_drake.grasping.evidence.depth_surface import observe
+from xray_drake.grasping.evidence.model import ModelEvidence
+from xray_drake.grasping.judgement import GRAVITY, GripperModel
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import GraspKind
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.object_model import object_from_pieces
@@ -39,23 +41,30 @@ PLATE = [0.08, 0.08, 0.01]
 
 @pytest.fixture(scope="module")
 def planner():
-    return DepthGraspPlanner(seed=3)
+    return GraspPlanner(DepthEvidence(seed=3))
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return ModelGraspPlanner(
-        [
-            object_from_pieces(
-                "flat", [trimesh.creation.box(FLAT)], density=600.0
-            )
-        ]
+    return GraspPlanner(
+        ModelEvidence(
+            [
+                object_from_pieces(
+                    "flat", [trimesh.creation.box(FLAT)], density=600.0
+                )
+            ]
+        )
     )
+
+
+def depth_planner(**changes):
+    return GraspPlanner(DepthEvidence(config=DepthPlannerConfig(**changes)))
 
 
 def plan(planner, *meshes, camera=CAMERA, **options):
     depth, mask = see(camera, *meshes)
-    return planner.plan("it", mask, depth, camera, **options).grasp
+    seen = SeenObject(mask, depth, camera)
+    return planner.plan("it", seen, **options).grasp
 
 
 @settings(max_examples=8, deadline=None)
@@ -131,12 +140,12 @@ def test_no_plan_hangs_on_the_last_digit_of_a_reading(planner, mesh, camera):
     camera = CAMERAS[camera]
     depth, mask = see(camera, mesh)
     depth = depth.astype(np.float32)
-    grasp = planner.plan("it", mask, depth, camera).grasp
+    grasp = planner.plan("it", SeenObject(mask, depth, camera)).grasp
     assert grasp
     for seed in range(3):
         up = np.random.default_rng(seed).random(depth.shape) < 0.5
         other = np.nextafter(depth, np.where(up, np.inf, 0).astype(np.float32))
-        again = planner.plan("it", mask, other, camera).grasp
+        again = planner.plan("it", SeenObject(mask, other, camera)).grasp
         assert again.kind is grasp.kind
         np.testing.assert_allclose(again.X_WG, grasp.X_WG, atol=1e-4)
 
@@ -165,7 +174,7 @@ def test_nothing_under_a_roof(planner):
     roofs = [block([0.2, 0.2, 0.01], at(s * 0.107, 0, 0.05)) for s in (1, -1)]
     depth, mask = see(CAMERA, flat, *roofs)
     assert 50 < mask.sum() < 250
-    assert not planner.plan("it", mask, depth, CAMERA)
+    assert not planner.plan("it", SeenObject(mask, depth, CAMERA))
     assert plan(planner, roofs[0], flat).kind is GraspKind.SUCTION
 
 
@@ -189,19 +198,20 @@ def test_excluded_grasps_are_not_returned(planner):
     excluded = []
     for number in range(4):
         grasp = planner.plan(
-            f"instance_{number}", mask, depth, CAMERA, excluded=excluded
+            f"instance_{number}",
+            SeenObject(mask, depth, CAMERA),
+            excluded=excluded,
         ).grasp
         assert grasp
-        assert not any(
-            same_grasp(old, grasp.kind, grasp.X_WG, position=0.010, angle=0.5)
-            for old in excluded
+        assert not is_among(
+            excluded, grasp.kind, grasp.X_WG, position=0.010, angle=0.5
         )
         excluded.append(grasp)
 
 
 def test_plans_follow_from_image_and_seed_alone(planner):
     meshes = clutter(np.random.default_rng(5), 4)
-    other = DepthGraspPlanner(seed=3)
+    other = GraspPlanner(DepthEvidence(seed=3))
     other_first = plan(other, *meshes[::-1])
     a, b = plan(planner, *meshes), plan(other, *meshes)
     assert a
@@ -213,15 +223,19 @@ def test_plans_follow_from_image_and_seed_alone(planner):
 @pytest.mark.parametrize("seed", range(3))
 def test_turning_scene_and_camera_turns_the_grasps(seed):
     """Without rehearsals, whose errors are drawn in the world's axes."""
-    planner = DepthGraspPlanner(config=DepthPlannerConfig(rehearsals=0))
+    planner = GraspPlanner(
+        DepthEvidence(config=DepthPlannerConfig(rehearsals=0))
+    )
     rng = np.random.default_rng(seed)
     meshes = clutter(rng, 3, spread=0.03)
     angle = rng.uniform(0.3, 6.0)
     X = at(0, 0, 0, yaw=angle)
     camera = CAMERAS["tilted"]
     depth, mask = see(camera, *meshes)
-    found = planner.find_grasps("it", mask, depth, camera)
-    again = planner.find_grasps("it", mask, depth, turned(camera, angle))
+    found = planner.find_grasps("it", SeenObject(mask, depth, camera))
+    again = planner.find_grasps(
+        "it", SeenObject(mask, depth, turned(camera, angle))
+    )
     assert len(found) == len(again) > 0
     for a, b in zip(found, again, strict=True):
         # Of a jaw and the same jaw half turned, either may come first.
@@ -237,19 +251,19 @@ def test_turning_scene_and_camera_turns_the_grasps(seed):
 
 def test_no_grasp_has_a_point_of_the_image_in_the_gripper(planner):
     camera = CAMERAS["tilted"]
-    judge = GraspJudge(())
-    found = 0
+    gripper, found = GripperModel(), 0
+    least = np.cos(planner.evidence.config.max_tilt) - 1e-9
     for seed in range(6):
         depth, mask = see(camera, *clutter(np.random.default_rng(seed), 7))
         points = camera.unproject(depth.astype(float)).reshape(-1, 3)
         points = points[points[:, 2] > 0.002]
-        for grasp in planner.find_grasps("it", mask, depth, camera):
-            opening = float(judge.opening(np.asarray(grasp.width)))
+        for grasp in planner.find_grasps("it", SeenObject(mask, depth, camera)):
+            opening = float(gripper.opening(np.asarray(grasp.width)))
             inside = depth_inside(points, grasp.X_WG, grasp.kind, opening)
             assert inside < 0.0005
-            assert -grasp.X_WG[2, 2] >= np.cos(planner.config.max_tilt) - 1e-9
+            assert -grasp.X_WG[2, 2] >= least
             assert 0 < grasp.quality <= 1
-            assert 0 <= grasp.width <= planner.parameters.opening
+            assert 0 <= grasp.width <= gripper.parameters.opening
             found += 1
     assert found > 15
 
@@ -266,7 +280,9 @@ def test_what_cannot_be_seen_has_no_grasp(planner):
         (np.full_like(depth, np.inf), mask),
         (np.where(mask, np.nan, depth), mask),
     ):
-        grasp = planner.plan("it", bad_mask, bad_depth, CAMERA).grasp
+        grasp = planner.plan(
+            "it", SeenObject(bad_mask, bad_depth, CAMERA)
+        ).grasp
         assert grasp.kind is GraspKind.NONE
 
 
@@ -280,10 +296,10 @@ def test_odd_masks_do_no_harm(planner):
     speckles = np.zeros_like(mask)
     speckles[::7, ::5] = True
     for odd in (np.ones_like(mask), border, ~mask, line, speckles):
-        grasp = planner.plan("it", odd, depth, CAMERA).grasp
+        grasp = planner.plan("it", SeenObject(odd, depth, CAMERA)).grasp
         assert np.isfinite(grasp.X_WG).all()
     only = np.where(mask, depth, np.nan)
-    grasp = planner.plan("it", mask, only, CAMERA).grasp
+    grasp = planner.plan("it", SeenObject(mask, only, CAMERA)).grasp
     assert grasp.kind is GraspKind.SUCTION
 
 
@@ -292,7 +308,7 @@ def test_images_of_another_shape_are_refused(planner):
     with pytest.raises(ValueError, match="depth image"):
         planner.plan("it", mask, depth[:, 1:], CAMERA)
     with pytest.raises(ValueError, match="mask"):
-        planner.plan("it", mask[1:], depth, CAMERA)
+        planner.plan("it", SeenObject(mask[1:], depth, CAMERA))
 
 
 def test_lost_readings_cost_no_grasp(planner):
@@ -302,7 +318,7 @@ def test_lost_readings_cost_no_grasp(planner):
     depth[rng.random(depth.shape) < 0.02] = 0.0
     last = np.flatnonzero(mask.any(axis=0)).max()
     depth[150:240, last + 1 : last + 5] = np.nan
-    grasp = planner.plan("it", mask, depth, CAMERA).grasp
+    grasp = planner.plan("it", SeenObject(mask, depth, CAMERA)).grasp
     assert grasp.kind is GraspKind.JAW
     assert min(abs(grasp.width - side) for side in FLAT[:2]) < 0.004
 
@@ -315,17 +331,19 @@ def test_a_mask_that_misses_its_border_costs_no_grasp(planner, seed):
     depth, mask = see(CAMERA, block(FLAT, at(0.02, 0, 0.0025, yaw=yaw)))
     inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     missed = mask & ~inner & (rng.random(mask.shape) < 0.5)
-    whole = planner.plan("it", mask, depth, CAMERA).grasp
-    grasp = planner.plan("it", mask & ~missed, depth, CAMERA).grasp
+    whole = planner.plan("it", SeenObject(mask, depth, CAMERA)).grasp
+    grasp = planner.plan("it", SeenObject(mask & ~missed, depth, CAMERA)).grasp
     assert grasp.kind is whole.kind is GraspKind.JAW
     assert grasp.quality > 0.6 * whole.quality
 
 
 def test_a_heavier_guess_lowers_the_quality(planner):
     plate = block(PLATE, at(0, 0, 0.005))
-    heavy = DepthGraspPlanner(config=DepthPlannerConfig(density=4000.0))
+    heavy = GraspPlanner(
+        DepthEvidence(config=DepthPlannerConfig(density=4000.0))
+    )
     assert plan(heavy, plate).quality < plan(planner, plate).quality
-    leaden = DepthGraspPlanner(config=DepthPlannerConfig(density=1e6))
+    leaden = depth_planner(density=1e6)
     assert not plan(leaden, plate)
 
 
@@ -364,13 +382,13 @@ def test_high_in_a_heap_half_of_the_objects_weigh_more_than_is_guessed():
 def test_beside_a_wall_the_gripper_stays_clear_of_it(planner, x, y):
     """The wall is not in the image; the exact check knows it."""
     depth, mask = see(CAMERA, block([0.05, 0.03, 0.02], at(x, y, 0.01)))
-    judge = GraspJudge(())
-    found = planner.find_grasps("it", mask, depth, CAMERA)
+    scene, gripper = ModelEvidence(()).scene, GripperModel()
+    found = planner.find_grasps("it", SeenObject(mask, depth, CAMERA))
     assert found
     for grasp in found:
-        opening = float(judge.opening(np.asarray(grasp.width)))
+        opening = float(gripper.opening(np.asarray(grasp.width)))
         assert not (
-            judge.scene.jaw_collides(grasp.X_WG, opening)
+            scene.jaw_collides(grasp.X_WG, opening)
             if grasp.kind is GraspKind.JAW
-            else judge.scene.suction_collides(grasp.X_WG)
+            else scene.suction_collides(grasp.X_WG)
         )

@@ -10,8 +10,11 @@ from tests.grasping.depth_scenes import (
     surface_of,
 )
 from tests.occupancy.scenes import CAMERAS
-from xray_drake.grasping.depth_suction import find_seals, seal_on_depth
-from xray_drake.grasping.sampling import seal_cups
+from xray_drake.grasping.evidence.depth_suction import (
+    seal_on_depth,
+    seals_seen,
+)
+from xray_drake.grasping.evidence.sampling import seal_cups
 
 LIMITS = {"radius": 0.015, "tolerance": 0.0025, "max_normal_angle": 0.7}
 
@@ -21,7 +24,7 @@ LIMITS = {"radius": 0.015, "tolerance": 0.0025, "max_normal_angle": 0.7}
 def test_a_plate_is_found_where_the_lip_fits(name, pitch):
     X = at(0.05, 0.02, 0.05, 0, pitch, 0.3)
     surface = surface_of(CAMERAS[name], block([0.07, 0.05, 0.01], X))
-    points = find_seals(surface, count=200, **LIMITS)
+    points, _ = seals_seen(surface, count=200, **LIMITS)
     assert len(points) > 30
     p = (points.point - X[:3, 3]) @ X[:3, :3]
     np.testing.assert_allclose(p[:, 2], 0.005, atol=5e-4)
@@ -43,14 +46,14 @@ def test_a_ball_must_be_large(radius, seals):
     cup = downwards(0, 0, 2 * radius)[None]
     seal = seal_on_depth(surface, cup, **LIMITS)
     assert seal.closed[0] == seals
-    assert (len(find_seals(surface, count=200, **LIMITS)) > 0) == seals
+    assert (len(seals_seen(surface, count=200, **LIMITS)[0]) > 0) == seals
 
 
 def test_a_narrow_plate_is_none():
     surface = surface_of(
         CAMERAS["nominal"], block([0.08, 0.026, 0.01], at(0, 0, 0.005))
     )
-    assert len(find_seals(surface, count=200, **LIMITS)) == 0
+    assert len(seals_seen(surface, count=200, **LIMITS)[0]) == 0
 
 
 def test_how_far_a_cup_is_from_a_plate():

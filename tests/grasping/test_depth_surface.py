@@ -6,7 +6,11 @@ from hypothesis.extra.numpy import arrays
 
 from tests.grasping.depth_scenes import at, block, see, surface_of
 from tests.occupancy.scenes import CAMERAS
-from xray_drake.grasping.depth_surface import fill_gaps, fill_mask, observe
+from xray_drake.grasping.evidence.depth_surface import (
+    fill_gaps,
+    fill_mask,
+    observe,
+)
 
 IMAGES = arrays(
     np.float32,

@@ -4,15 +4,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xray_drake.grasping.sampling import (
-    RING_POINTS,
+from xray_drake.grasping.evidence.sampling import (
     cast_rays,
-    frame_from_z,
-    ring_offsets,
     sample_antipodal,
     sample_suction,
     seal_cups,
 )
+from xray_drake.grasping.seal import RING_POINTS, frame_from_z, ring_offsets
 
 FRICTION = 0.5
 
@@ -34,7 +32,7 @@ def outward_normal_of_box(points, extents):
     seed=st.integers(0, 1000),
 )
 def test_every_pair_on_a_box_is_antipodal(extents, seed):
-    pairs = sample_antipodal(
+    pairs, _ = sample_antipodal(
         trimesh.creation.box(extents),
         np.random.default_rng(seed),
         count=100,
@@ -61,7 +59,7 @@ def test_every_pair_on_a_box_is_antipodal(extents, seed):
 
 def test_pairs_on_a_ball_pass_near_its_center():
     radius = 0.02
-    pairs = sample_antipodal(
+    pairs, _ = sample_antipodal(
         trimesh.creation.icosphere(4, radius),
         np.random.default_rng(0),
         count=200,
@@ -76,7 +74,7 @@ def test_pairs_on_a_ball_pass_near_its_center():
 
 def test_a_hollow_tube_is_squeezed_from_outside_too():
     tube = trimesh.creation.annulus(r_min=0.008, r_max=0.010, height=0.08)
-    pairs = sample_antipodal(
+    pairs, _ = sample_antipodal(
         tube,
         np.random.default_rng(0),
         count=200,
@@ -96,10 +94,10 @@ def test_samples_follow_from_the_seed(sampler):
     def draw(seed):
         rng = np.random.default_rng(seed)
         if sampler == "suction":
-            return sample_suction(mesh, rng, count=50, radius=0.01).point
+            return sample_suction(mesh, rng, count=50, radius=0.01)[0].point
         return sample_antipodal(
             mesh, rng, count=50, friction=FRICTION, max_width=0.045
-        ).first
+        )[0].first
 
     np.testing.assert_array_equal(draw(3), draw(3))
     assert not np.array_equal(draw(3), draw(4))
@@ -111,7 +109,7 @@ def test_samples_follow_from_the_seed(sampler):
 )
 def test_cups_stay_inside_the_faces_of_a_box(extents, seed):
     radius = 0.015
-    points = sample_suction(
+    points, _ = sample_suction(
         trimesh.creation.box(extents),
         np.random.default_rng(seed),
         count=60,
@@ -141,7 +139,7 @@ def test_cups_stay_inside_the_faces_of_a_box(extents, seed):
     ],
 )
 def test_what_a_cup_seals_on(mesh, seals):
-    points = sample_suction(
+    points, _ = sample_suction(
         mesh, np.random.default_rng(0), count=50, radius=0.015
     )
     assert (len(points) > 0) == seals
@@ -150,7 +148,7 @@ def test_what_a_cup_seals_on(mesh, seals):
 @pytest.mark.parametrize(("radius", "seals"), [(0.075, True), (0.040, False)])
 def test_a_cup_seals_on_the_side_of_a_wide_cylinder(radius, seals):
     """The lip deviates from its plane by half of R − √(R² − r²)."""
-    points = sample_suction(
+    points, _ = sample_suction(
         trimesh.creation.cylinder(radius, 0.2, sections=512),
         np.random.default_rng(0),
         count=100,

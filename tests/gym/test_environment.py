@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from pydrake.gym import DrakeGymEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from xray_drake.grasping.planner import GraspPlannerConfig
+from xray_drake.grasping.evidence.model import ModelPlannerConfig
 from xray_drake.gym import ENV_ID
 from xray_drake.gym.agents import policy_agent, random_agent, xray_agent
 from xray_drake.gym.environment import MechanicalSearchEnv
@@ -83,7 +83,7 @@ def quick(scenario: Scenario) -> Scenario:
     """For what does not depend on how good a grasp is."""
     quick = copy.deepcopy(scenario)
     quick.scene.num_objects = 2
-    quick.gripper.planner = GraspPlannerConfig(
+    quick.gripper.planner = ModelPlannerConfig(
         jaw_samples=100,
         suction_samples=40,
         suction_turns=2,

@@ -9,7 +9,8 @@ import trimesh
 from tests.occupancy.brute_force import render
 from tests.occupancy.scenes import lying, make_camera
 from tests.occupancy.test_learned import Mirror, card
-from xray_drake.grasping.depth_planner import DepthGraspPlanner
+from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.occupancy.geometric.expected import ExpectedLabel
 from xray_drake.occupancy.geometric.flat import ExactInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
@@ -45,7 +46,8 @@ def segmenter(depth: np.ndarray) -> np.ndarray:
 
 
 def grasps(depth: np.ndarray) -> np.ndarray:
-    found = DepthGraspPlanner().find_grasps("block", LABEL == 0, depth, CAMERA)
+    seen = SeenObject(LABEL == 0, depth, CAMERA)
+    found = GraspPlanner(DepthEvidence()).find_grasps("block", seen)
     return np.array([grasp.X_WG for grasp in found])
 
 

@@ -12,6 +12,7 @@ from pydrake.systems.sensors import ImageDepth32F
 from tests.policy.test_system import Planner
 from tests.ports import inputs_of
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.grasping.evidence.depth import SeenObject
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -47,13 +48,12 @@ class SeenPlanner:
     def plan(
         self,
         object_name: str,
-        mask: np.ndarray,
-        depth: np.ndarray,
-        camera: PinholeCamera,
+        known: SeenObject,
         *,
         excluded: Sequence[Grasp] = (),
     ) -> GraspPlan:
         self.asked.append((object_name, tuple(excluded)))
+        mask, depth, camera = known
         self.depths.append(depth)
         X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
         X_WG[:3, 3] = camera.unproject(depth)[mask].mean(axis=0)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.grasping.evidence.depth import SeenObject
 from xray_drake.messages import Grasp, GraspKind, GraspPlan, InstanceMasks
 from xray_drake.policy.planning import (
     PLACE_RADIUS,
@@ -30,14 +30,12 @@ class SeenPlanner:
     def plan(
         self,
         object_name: str,
-        mask: np.ndarray,
-        depth: np.ndarray,
-        camera: PinholeCamera,
+        known: SeenObject,
         *,
         excluded: Sequence[Grasp] = (),
     ) -> GraspPlan:
-        self.masks.append(mask)
-        self.depths.append(depth)
+        self.masks.append(known.mask)
+        self.depths.append(known.depth)
         self.excluded.append(tuple(excluded))
         return GraspPlan(Grasp(GraspKind.JAW, object_name, quality=0.5))
 

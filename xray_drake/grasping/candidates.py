@@ -1,22 +1,17 @@
-"""Turns samples on an object into poses of the gripper, ranked cheaply."""
+"""Candidates for grasps: poses of the gripper, ranked cheaply."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
-from xray_drake.grasping.gripper_geometry import GripperParameters
-from xray_drake.grasping.judgement import DOWN, GRAVITY, GraspJudge
-from xray_drake.grasping.sampling import AntipodalPairs, SuctionPoints
-from xray_drake.grasping.wrench import suction_holding_force
+from xray_drake.grasping.judgement import DOWN, GripperModel
 from xray_drake.messages import Grasp, GraspKind
-from xray_drake.scene.object_model import ObjectModel
 
 JAW_TILTS = np.deg2rad([0.0, -20.0, 20.0, -40.0, 40.0])
 """Approaches of the jaw about its closing axis, from the steepest one, rad."""
-
-_CELL = 0.01
-"""Grasps whose centres fall in one cell of this size, m, are alike."""
 
 _LEVER = 0.03
 """Horizontal distance from the centre of mass that halves a score, m."""
@@ -30,9 +25,78 @@ EQUAL_QUALITY = 1e-3
 _DIGITS = 4
 """Scores are compared after so many decimals."""
 
+Failures = Counter[tuple[GraspKind, str]]
+"""Kind of grasp and reason, to the number of candidates that failed for it."""
+
 
 @dataclass(frozen=True, eq=False)
-class GraspCandidates:
+class Rows:
+    """Things of one sort, a row of each array for each of them."""
+
+    def take(self, index: np.ndarray | slice) -> Self:
+        """Returns some of them, by indices, slice or (n,) bool mask."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        rows: dict = {
+            name: value[index]
+            for name, value in values.items()
+            if isinstance(value, np.ndarray)
+        }
+        return replace(self, **rows)
+
+    def __len__(self) -> int:
+        values = (getattr(self, f.name) for f in fields(self))
+        return next(len(v) for v in values if isinstance(v, np.ndarray))
+
+
+@dataclass(frozen=True, eq=False)
+class AntipodalPairs(Rows):
+    """Pairs of points that two opposite fingers can squeeze.
+
+    Attributes:
+        first: (n, 3) contact of the finger on the +axis side, m.
+        second: (n, 3) contact of the opposite finger, m.
+        axis: (n, 3) unit closing axis, from ``second`` towards ``first``.
+        width: (n,) distance of the contacts along the axis, m.
+        angle: (n,) the larger of the two angles between the axis and a surface
+            normal, rad.
+        cell: (n, k) ints, the same for pairs that are alike.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    axis: np.ndarray
+    width: np.ndarray
+    angle: np.ndarray
+    cell: np.ndarray
+
+    @property
+    def middle(self) -> np.ndarray:
+        """The (n, 3) midpoints, m."""
+        return 0.5 * (self.first + self.second)
+
+
+@dataclass(frozen=True, eq=False)
+class SuctionPoints(Rows):
+    """Places where a suction cup seals.
+
+    Attributes:
+        point: (n, 3) centre of the lip on the surface, m.
+        approach: (n, 3) unit normal of the lip's plane, into the object.
+        unevenness: (n,) largest distance of the surface under the lip from
+            that plane, m.
+        roomy: (n,) whether a larger cup would seal there, too.
+        cell: (n, k) ints, the same for places that are alike.
+    """
+
+    point: np.ndarray
+    approach: np.ndarray
+    unevenness: np.ndarray
+    roomy: np.ndarray
+    cell: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class GraspCandidates(Rows):
     """Poses to check, of one kind.
 
     Attributes:
@@ -43,6 +107,8 @@ class GraspCandidates:
         group: (n,) of alike candidates: near each other on the object, and
             approached in the same way.
         robustness: (n,) factor of the grasp's quality, in (0, 1].
+        space: (n,) free around the gripper, m; inf where it is not known yet.
+        stopped: the poses are where the gripper stops at contact.
     """
 
     kind: GraspKind
@@ -51,20 +117,24 @@ class GraspCandidates:
     score: np.ndarray
     group: np.ndarray
     robustness: np.ndarray
+    space: np.ndarray
+    stopped: bool = False
 
-    def __len__(self) -> int:
-        return len(self.score)
+    def quality_factor(self, full: float) -> np.ndarray:
+        """Returns (n,) factors in (0, 1] of quality: robustness and space.
 
-    def take(self, index: np.ndarray) -> "GraspCandidates":
-        """Returns some of them, by index or by (n,) bool mask."""
-        return GraspCandidates(
-            self.kind,
-            self.X_WG[index],
-            self.width[index],
-            self.score[index],
-            self.group[index],
-            self.robustness[index],
-        )
+        Args:
+            full: more free space than this is worth no more, m.
+        """
+        share = np.clip(self.space / full, 0.0, 1.0)
+        return self.robustness * (0.5 + 0.5 * share)
+
+
+def moved(X: np.ndarray, distance: np.ndarray | float) -> np.ndarray:
+    """Returns (n, 4, 4) poses moved along their own z axes by (n,) m."""
+    X = np.array(X)
+    X[:, :3, 3] += np.reshape(distance, (-1, 1)) * X[:, :3, 2]
+    return X
 
 
 def by_score(score: np.ndarray, *first: np.ndarray) -> np.ndarray:
@@ -121,38 +191,6 @@ def in_groups(score: np.ndarray, group: np.ndarray) -> np.ndarray:
     return order[by_score(score[order], rank)]
 
 
-def same_grasp(
-    grasp: Grasp,
-    kind: GraspKind,
-    X_OG: np.ndarray,
-    *,
-    position: float,
-    angle: float,
-) -> bool:
-    """Says whether a pose on the same object is a grasp again.
-
-    A jaw turned by half a turn about its approach is the same jaw, and a cup
-    turned about its axis is the same cup.
-
-    Args:
-        grasp: to compare with.
-        kind: of the other grasp.
-        X_OG: 4×4 pose of the other grasp in the object's frame.
-        position: tolerance, m.
-        angle: tolerance, rad.
-    """
-    if grasp.kind is not kind:
-        return False
-    if np.linalg.norm(grasp.X_OG[:3, 3] - X_OG[:3, 3]) >= position:
-        return False
-    R = grasp.X_OG[:3, :3].T @ X_OG[:3, :3]
-    if kind is GraspKind.SUCTION:
-        return bool(R[2, 2] > np.cos(angle))
-    if R[1, 1] < 0:
-        R = np.diag([-1.0, -1.0, 1.0]) @ R
-    return bool(0.5 * (np.trace(R) - 1.0) > np.cos(angle))
-
-
 def is_among(
     grasps: Iterable[Grasp],
     kind: GraspKind,
@@ -161,11 +199,32 @@ def is_among(
     position: float,
     angle: float,
 ) -> bool:
-    """Says whether any of the grasps is this one; see :func:`same_grasp`."""
-    return any(
-        same_grasp(grasp, kind, X_OG, position=position, angle=angle)
-        for grasp in grasps
-    )
+    """Says whether a pose on the same object is one of some grasps again.
+
+    A jaw turned by half a turn about its approach is the same jaw, and a cup
+    turned about its axis is the same cup.
+
+    Args:
+        grasps: to compare with.
+        kind: of the other grasp.
+        X_OG: 4×4 pose of the other grasp in the object's frame.
+        position: tolerance, m.
+        angle: tolerance, rad.
+    """
+
+    def same(grasp: Grasp) -> bool:
+        if grasp.kind is not kind:
+            return False
+        if np.linalg.norm(grasp.X_OG[:3, 3] - X_OG[:3, 3]) >= position:
+            return False
+        R = grasp.X_OG[:3, :3].T @ X_OG[:3, :3]
+        if kind is GraspKind.SUCTION:
+            return bool(R[2, 2] > np.cos(angle))
+        if R[1, 1] < 0:
+            R = np.diag([-1.0, -1.0, 1.0]) @ R
+        return bool(0.5 * (np.trace(R) - 1.0) > np.cos(angle))
+
+    return any(same(grasp) for grasp in grasps)
 
 
 def _steepness(approach: np.ndarray, max_tilt: float) -> np.ndarray:
@@ -174,44 +233,55 @@ def _steepness(approach: np.ndarray, max_tilt: float) -> np.ndarray:
     return (-approach[..., 2] - limit) / (1.0 - limit)
 
 
-def _groups(columns: Sequence[np.ndarray]) -> np.ndarray:
-    cells = np.column_stack(columns)
-    if len(cells) == 0:
+def _nearness(points: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """1 over or under the centre, ½ at ``_LEVER`` from there."""
+    lever = np.linalg.norm((points - center)[:, :2], axis=1)
+    return 1 / (1 + (lever / _LEVER) ** 2)
+
+
+def _groups(cell: np.ndarray, way: np.ndarray) -> np.ndarray:
+    if len(way) == 0:
         return np.zeros(0, int)
+    cells = np.column_stack([cell, way])
     return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def jaw_candidates(
-    model: ObjectModel,
+def _count_tilted(
+    failures: Failures, kind: GraspKind, steep: np.ndarray
+) -> None:
+    failures[kind, "approach too tilted"] += int(np.count_nonzero(~steep))
+
+
+def jaw_poses(
     pairs: AntipodalPairs,
-    X_WO: np.ndarray,
-    judge: GraspJudge,
+    center: np.ndarray,
+    gripper: GripperModel,
+    failures: Failures,
     *,
     friction: float,
     max_tilt: float,
-    insertion: float,
-) -> GraspCandidates:
+) -> tuple[GraspCandidates, np.ndarray]:
     """Approaches antipodal pairs from above.
 
     Each pair is approached by the steepest direction across its axis and by
-    others about the axis, with the jaw either way round. The jaw stops above
-    the floor.
+    others about the axis, with the jaw either way round.
 
     Args:
-        model: of the object.
-        pairs: on it.
-        X_WO: 4×4 pose of the object.
-        judge: knows the gripper, and where the floor stops it.
+        pairs: in the world.
+        center: (3,) the object's centre of mass in the world, m.
+        gripper: what it can do.
+        failures: those too tilted are counted here.
         friction: Coulomb coefficient.
         max_tilt: largest angle between approach and straight down, rad.
-        insertion: how far beyond the contacts the jaw goes, m.
+
+    Returns:
+        The candidates, their origins in the middle of the pairs; and (n,) the
+        index of each one's pair.
     """
-    R, p = X_WO[:3, :3], X_WO[:3, 3]
-    across = DOWN - (pairs.axis @ (R.T @ DOWN))[:, None] * (pairs.axis @ R.T)
+    across = DOWN - (pairs.axis @ DOWN)[:, None] * pairs.axis
     length = np.linalg.norm(across, axis=1)
-    usable = length > 0.1
-    axis = pairs.axis[usable] @ R.T
-    middle = pairs.middle[usable] @ R.T + p
+    usable = np.flatnonzero(length > 0.1)
+    axis = pairs.axis[usable]
     steepest = across[usable] / length[usable, None]
     sideways = np.cross(axis, steepest)
 
@@ -224,118 +294,90 @@ def jaw_candidates(
     shape = (len(JAW_TILTS), len(sides), len(axis), 3)
     z = np.broadcast_to(approach[:, None], shape).reshape(-1, 3)
     y = np.broadcast_to(sides[:, None, None] * axis, shape).reshape(-1, 3)
-    pair = np.tile(np.arange(len(axis)), len(JAW_TILTS) * len(sides))
+    pair = np.tile(usable, len(JAW_TILTS) * len(sides))
     way = np.repeat(np.arange(len(JAW_TILTS) * len(sides)), len(axis))
-    width = pairs.width[usable][pair]
 
     X_WG = np.tile(np.eye(4), (len(z), 1, 1))
     X_WG[:, :3, :3] = np.stack([np.cross(y, z), y, z], axis=-1)
-    X_WG[:, :3, 3] = middle[pair] + insertion * z
-    retreat = judge.floor_retreat(X_WG, judge.opening(width))
-    stop = np.where(np.isfinite(retreat), np.maximum(retreat, 0.0), 0.0)
-    X_WG[:, :3, 3] -= stop[:, None] * z
-
-    com = R @ model.p_OCom + p
-    lever = np.linalg.norm((middle - com)[:, :2], axis=1)[pair]
+    X_WG[:, :3, 3] = pairs.middle[pair]
+    width = pairs.width[pair]
     steepness = _steepness(z, max_tilt)
-    alignment = 1 - pairs.angle[usable][pair] / np.arctan(max(friction, 1e-6))
-    parameters = judge.parameters
+    alignment = 1 - pairs.angle[pair] / np.arctan(max(friction, 1e-6))
     slack = np.clip(
-        (parameters.opening - width) / (2 * judge.config.clearance), 0.0, 1.0
+        (gripper.parameters.opening - width) / (2 * gripper.config.clearance),
+        0.0,
+        1.0,
     )
-    score = (
-        (0.5 + 0.5 * alignment)
+    candidates = GraspCandidates(
+        kind=GraspKind.JAW,
+        X_WG=X_WG,
+        width=width,
+        score=(0.5 + 0.5 * alignment)
         * (0.5 + 0.5 * steepness)
         * (0.5 + 0.5 * slack)
-        / (1 + (lever / _LEVER) ** 2)
+        * _nearness(pairs.middle, center)[pair],
+        group=_groups(pairs.cell[pair], way),
+        robustness=np.ones(len(z)),
+        space=np.full(len(z), np.inf),
     )
-    # No jaw holds more than two friction cones' edges.
-    holdable = 2 * parameters.force * np.sqrt(1 + friction**2)
-    keep = (
-        (steepness >= 0)
-        & (retreat <= judge.config.max_retreat)
-        & (GRAVITY * model.mass < holdable)
-    )
-    place = np.round(pairs.middle[usable][pair][keep] / _CELL)
-    direction = np.round(2 * pairs.axis[usable][pair][keep])
-    return GraspCandidates(
-        kind=GraspKind.JAW,
-        X_WG=X_WG[keep],
-        width=width[keep],
-        score=score[keep],
-        group=_groups([place, direction, way[keep]]),
-        robustness=np.ones(np.count_nonzero(keep)),
-    )
+    steep = steepness >= 0
+    _count_tilted(failures, GraspKind.JAW, steep)
+    return candidates.take(steep), pair[steep]
 
 
-def suction_candidates(
-    model: ObjectModel,
+def cup_poses(
     points: SuctionPoints,
-    X_WO: np.ndarray,
+    center: np.ndarray,
+    gripper: GripperModel,
+    failures: Failures,
     *,
-    parameters: GripperParameters,
-    friction: float,
     max_tilt: float,
-    seal_tolerance: float,
     turns: int,
+    ahead: np.ndarray | None = None,
 ) -> GraspCandidates:
     """Approaches places where the cup seals, turned about its axis.
 
-    Those that cannot hold the weight (``suction_holding_force``) are dropped.
-
     Args:
-        model: of the object.
-        points: on it.
-        X_WO: 4×4 pose of the object.
-        parameters: of the gripper.
-        friction: Coulomb coefficient.
+        points: in the world.
+        center: (3,) the object's centre of mass in the world, m.
+        gripper: what it can do.
+        failures: those too tilted are counted here.
         max_tilt: largest angle between approach and straight down, rad.
-        seal_tolerance: unevenness at which the cup just seals, m.
         turns: of the gripper about the cup's axis.
+        ahead: (3,) the direction that turns are counted from, in the world; by
+            default the world's x axis, or y where the cup comes along x.
     """
-    R, p = X_WO[:3, :3], X_WO[:3, 3]
-    steepness = _steepness(points.approach @ R.T, max_tilt)
+    steepness = _steepness(points.approach, max_tilt)
     usable = np.flatnonzero(steepness >= 0)
-    point = np.tile(usable, turns)
-    turn = np.repeat(np.arange(turns), len(usable))
-
-    z = points.approach[point] @ R.T
-    reference = np.eye(3)[np.where(np.abs(z[:, 0]) < 0.9, 0, 1)]
-    x = reference - np.einsum("ni,ni->n", reference, z)[:, None] * z
-    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    _count_tilted(failures, GraspKind.SUCTION, steepness >= 0)
+    place = np.repeat(usable, turns)
+    turn = np.tile(np.arange(turns), len(usable))
+    z = points.approach[place]
+    if ahead is None:
+        x = np.eye(3)[np.where(np.abs(z[:, 0]) < 0.9, 0, 1)]
+    else:
+        x = np.broadcast_to(ahead, z.shape)
+    x = x - np.einsum("ni,ni->n", x, z)[:, None] * z
+    x = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
     angle = (2 * np.pi * turn / turns)[:, None]
     x = np.cos(angle) * x + np.sin(angle) * np.cross(z, x)
     X_WG = np.tile(np.eye(4), (len(z), 1, 1))
     X_WG[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
-    X_WG[:, :3, 3] = points.point[point] @ R.T + p
-
-    lever = R @ model.p_OCom + p - X_WG[:, :3, 3]
-    holding = suction_holding_force(
-        np.einsum("nji,nj->ni", X_WG[:, :3, :3], lever),
-        np.einsum("nji,j->ni", X_WG[:, :3, :3], DOWN),
-        friction=friction,
-        vacuum_force=parameters.vacuum_force,
-        cup_radius=parameters.cup_radius,
-        elasticity=parameters.cup_elasticity,
-    )
-    held = 1 - GRAVITY * model.mass / holding
-    evenness = 1 - points.unevenness[point] / seal_tolerance
-    robustness = np.where(points.roomy[point], 1.0, _NOT_ROOMY)
-    distance = np.linalg.norm(lever[:, :2], axis=1)
+    X_WG[:, :3, 3] = points.point[place]
+    robustness = np.where(points.roomy, 1.0, _NOT_ROOMY)
+    evenness = 1 - points.unevenness / gripper.config.seal_tolerance
     score = (
-        held
-        * robustness
+        robustness
         * (0.5 + 0.5 * evenness)
-        * (0.5 + 0.5 * steepness[point])
-        / (1 + (distance / _LEVER) ** 2)
+        * (0.5 + 0.5 * steepness)
+        * _nearness(points.point, center)
     )
-    keep = held > 0
-    place = np.round(points.point[point][keep] / _CELL)
     return GraspCandidates(
         kind=GraspKind.SUCTION,
-        X_WG=X_WG[keep],
-        width=np.zeros(np.count_nonzero(keep)),
-        score=score[keep],
-        group=_groups([place, turn[keep]]),
-        robustness=robustness[keep],
+        X_WG=X_WG,
+        width=np.zeros(len(place)),
+        score=score[place],
+        group=_groups(points.cell[place], turn),
+        robustness=robustness[place],
+        space=np.full(len(place), np.inf),
     )

@@ -128,7 +128,7 @@ def suction_holding_force(
     lever: np.ndarray,
     gravity: np.ndarray,
     *,
-    friction: float,
+    friction: np.ndarray | float,
     vacuum_force: float,
     cup_radius: float,
     elasticity: float,
@@ -149,7 +149,7 @@ def suction_holding_force(
         lever: (..., 3) centre of mass minus centre of the lip, in the contact
             frame (z along the approach, into the object), m.
         gravity: (..., 3) unit direction of the weight in the contact frame.
-        friction: Coulomb coefficient μ.
+        friction: (...) Coulomb coefficient μ.
         vacuum_force: V, N.
         cup_radius: r, m.
         elasticity: κ, N.
@@ -178,16 +178,18 @@ def suction_holding_force(
     return 1.0 / np.maximum(need, 1e-9)
 
 
-def holding_quality(holding_force: float, weight: float) -> float:
-    """Returns 1 − weight / holding force, clipped to [0, 1].
+def holding_quality(
+    holding_force: np.ndarray | float, weight: float
+) -> np.ndarray:
+    """Returns (...) 1 − weight / holding force, clipped to [0, 1].
 
     Zero where the grasp cannot hold the weight, ½ where it could hold twice
     the weight.
 
     Args:
-        holding_force: largest weight the grasp can hold, N.
+        holding_force: (...) largest weight the grasp can hold, N.
         weight: of the object, N.
     """
-    if holding_force <= weight or holding_force <= 0.0:
-        return 0.0
-    return 1.0 - weight / holding_force
+    force = np.asarray(holding_force, float)
+    held = force > max(weight, 0.0)
+    return np.where(held, 1.0 - weight / np.where(held, force, 1.0), 0.0)

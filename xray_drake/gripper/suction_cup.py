@@ -15,7 +15,8 @@ from pydrake.systems.framework import (
     State,
 )
 
-from xray_drake.grasping.sampling import cast_rays, ring_offsets, seal_cups
+from xray_drake.grasping.evidence.sampling import cast_rays, seal_cups
+from xray_drake.grasping.seal import ring_offsets
 from xray_drake.gripper.suction import (
     Cup,
     CupState,

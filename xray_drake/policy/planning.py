@@ -1,16 +1,20 @@
 """Planning grasps at one look: from models and poses, or from depth."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
-from xray_drake.grasping.planner import GraspPlanner
+from xray_drake.grasping.evidence.depth import SeenObject
 from xray_drake.messages import Grasp, GraspPlan, InstanceMasks, Message
 from xray_drake.policy.removal import Removal
+
+Known = TypeVar("Known", contravariant=True)
+"""What is known of a heap."""
 
 PLACE_RADIUS = 0.04
 """What is seen this near to a grasp, across the view, is its place, m."""
@@ -23,18 +27,16 @@ PLACE_SHARE = 0.05
 """A place has changed if this share of it has: a square of 16 mm."""
 
 
-class SeenGraspPlanner(Protocol):
-    """Anything that plans a grasp on an object of which only an image is known.
+class PlansGrasps(Protocol[Known]):
+    """Anything that plans a grasp on one object of a heap.
 
-    The counterpart of :class:`~xray_drake.grasping.planner.GraspPlanner`.
+    As :class:`~xray_drake.grasping.planner.GraspPlanner` does.
     """
 
     def plan(
         self,
         object_name: str,
-        mask: np.ndarray,
-        depth: np.ndarray,
-        camera: PinholeCamera,
+        known: Known,
         *,
         excluded: Sequence[Grasp] = (),
     ) -> GraspPlan:
@@ -42,12 +44,20 @@ class SeenGraspPlanner(Protocol):
 
         Args:
             object_name: what the grasp is called to be of.
-            mask: (H, W) bool, what is seen of the object.
-            depth: (H, W) z-depth, m; 0 where there is no reading.
-            camera: of both images.
-            excluded: grasps by their poses in the world, whatever object they
-                are called of.
+            known: of the heap.
+            excluded: grasps not to be returned again.
         """
+
+
+Poses = Mapping[str, np.ndarray]
+"""Object name to its 4×4 X_WO, m."""
+
+PlansOnModels = PlansGrasps[Poses]
+"""Plans from the objects' models, and their names to their 4×4 poses X_WO."""
+
+PlansOnImages = PlansGrasps[SeenObject]
+"""Plans on what is seen; grasps are excluded by their poses in the world,
+whatever object they are called of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,28 +79,10 @@ class FailedGrasp(Message):
         object.__setattr__(self, "place", place)
 
 
-class ModelPlanning:
-    """Plans on models at their poses, each object once.
+class _Planning(ABC):
+    """A :class:`xray_drake.policy.ranking.Planning` of each object once."""
 
-    An object keeps its name and its shape: what failed on it is excluded for
-    good, wherever it lies.
-    """
-
-    def __init__(
-        self,
-        planner: GraspPlanner,
-        poses: Mapping[str, np.ndarray],
-        failed: Sequence[FailedGrasp],
-    ) -> None:
-        """Takes what is known of the heap.
-
-        Args:
-            planner: finds grasps.
-            poses: object name to its 4×4 X_WO.
-            failed: all grasps that failed before.
-        """
-        self._planner = planner
-        self._poses = poses
+    def __init__(self, failed: Sequence[FailedGrasp]) -> None:
         self._failed = [f.grasp for f in failed]
         self._known: dict[tuple[str, frozenset[str]], GraspPlan] = {}
 
@@ -100,15 +92,46 @@ class ModelPlanning:
         """Plans a grasp; see :class:`xray_drake.policy.ranking.Planning`."""
         key = name, frozenset(without)
         if key not in self._known:
-            self._known[key] = self._planner.plan(
-                name,
-                {n: X for n, X in self._poses.items() if n not in key[1]},
-                excluded=[g for g in self._failed if g.object == name],
-            )
+            self._known[key] = self._plan(*key)
         return self._known[key]
 
+    @abstractmethod
+    def _plan(self, name: str, without: Collection[str]) -> GraspPlan: ...
 
-class DepthPlanning:
+
+class ModelPlanning(_Planning):
+    """Plans on models at their poses, each object once.
+
+    An object keeps its name and its shape: what failed on it is excluded for
+    good, wherever it lies.
+    """
+
+    def __init__(
+        self,
+        planner: PlansOnModels,
+        poses: Poses,
+        failed: Sequence[FailedGrasp],
+    ) -> None:
+        """Takes what is known of the heap.
+
+        Args:
+            planner: finds grasps.
+            poses: object name to its 4×4 X_WO.
+            failed: all grasps that failed before.
+        """
+        super().__init__(failed)
+        self._planner = planner
+        self._poses = poses
+
+    def _plan(self, name: str, without: Collection[str]) -> GraspPlan:
+        return self._planner.plan(
+            name,
+            {n: X for n, X in self._poses.items() if n not in without},
+            excluded=[g for g in self._failed if g.object == name],
+        )
+
+
+class DepthPlanning(_Planning):
     """Plans on what is seen, each instance once.
 
     The name of an instance means nothing in the next image. So what failed is
@@ -119,7 +142,7 @@ class DepthPlanning:
 
     def __init__(
         self,
-        planner: SeenGraspPlanner,
+        planner: PlansOnImages,
         instances: InstanceMasks,
         depth: np.ndarray,
         camera: PinholeCamera,
@@ -134,31 +157,19 @@ class DepthPlanning:
             camera: of both.
             failed: the grasps that failed and whose place has not changed.
         """
+        super().__init__(failed)
         self._planner = planner
         self._instances = instances
         self._depth = depth
         self._camera = camera
-        self._failed = [f.grasp for f in failed]
-        self._known: dict[tuple[str, frozenset[str]], GraspPlan] = {}
 
-    def __call__(
-        self, name: str, *, without: Collection[str] = ()
-    ) -> GraspPlan:
-        """Plans a grasp; see :class:`xray_drake.policy.ranking.Planning`."""
-        key = name, frozenset(without)
-        if key not in self._known:
-            depth = self._depth
-            for other in sorted(key[1]):
-                removal = Removal(depth, self._camera)
-                depth, _ = removal.without(self._instances.mask(other))
-            self._known[key] = self._planner.plan(
-                name,
-                self._instances.mask(name),
-                depth,
-                self._camera,
-                excluded=self._failed,
-            )
-        return self._known[key]
+    def _plan(self, name: str, without: Collection[str]) -> GraspPlan:
+        depth = self._depth
+        for other in sorted(without):
+            removal = Removal(depth, self._camera)
+            depth, _ = removal.without(self._instances.mask(other))
+        seen = SeenObject(self._instances.mask(name), depth, self._camera)
+        return self._planner.plan(name, seen, excluded=self._failed)
 
 
 def place_of(

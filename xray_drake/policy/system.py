@@ -16,7 +16,6 @@ from pydrake.systems.framework import (
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
     Grasp,
@@ -36,7 +35,8 @@ from xray_drake.policy.planning import (
     DepthPlanning,
     FailedGrasp,
     ModelPlanning,
-    SeenGraspPlanner,
+    PlansOnImages,
+    PlansOnModels,
     place_of,
     still_there,
 )
@@ -95,7 +95,7 @@ class DepthGrasps:
         width, height: of the images, pixels.
     """
 
-    planner: SeenGraspPlanner
+    planner: PlansOnImages
     width: int = 512
     height: int = 384
 
@@ -139,7 +139,7 @@ class SearchPolicy(CollectableLeafSystem):
         self,
         *,
         ranking: Ranking,
-        planner: GraspPlanner | DepthGrasps,
+        planner: PlansOnModels | DepthGrasps,
         bodies: Mapping[str, int] | None = None,
         target_first: bool = True,
         min_visible_pixels: int = 50,

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from pydrake.systems.framework import OutputPort
 
-from xray_drake.grasping.depth_planner import DepthGraspPlanner
-from xray_drake.grasping.planner import ModelGraspPlanner
+from xray_drake.grasping.evidence.depth import DepthEvidence
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.occupancy.geometric.expected import ExpectedLabel
 from xray_drake.occupancy.geometric.inference import exact_model
 from xray_drake.occupancy.learned.inference import load_inference
@@ -23,6 +23,7 @@ from xray_drake.perception.systems import (
 from xray_drake.policy.beyond.memory import TargetMemory
 from xray_drake.policy.beyond.memory_system import SearchMemory
 from xray_drake.policy.choice_system import ChoicePolicy
+from xray_drake.policy.planning import PlansOnModels, Poses
 from xray_drake.policy.ranking import largest
 from xray_drake.policy.registry import POLICIES, Policy
 from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
@@ -52,7 +53,7 @@ class SearchParts:
     heap: Heap
     station: StationParts
     bodies: Mapping[str, int]
-    planner: ModelGraspPlanner
+    planner: GraspPlanner[Poses]
 
     @property
     def image_size(self) -> dict[str, int]:
@@ -192,13 +193,15 @@ def _policy(
 ) -> SearchPolicy:
     scenario, size = inside.scenario, inside.image_size
     gripper, config = scenario.gripper, scenario.policy
-    planner: ModelGraspPlanner | DepthGrasps = inside.planner
+    planner: PlansOnModels | DepthGrasps = inside.planner
     if gripper.grasps == "depth":
         planner = DepthGrasps(
-            DepthGraspPlanner(
-                parameters=gripper.parameters,
-                config=gripper.depth_planner,
-                seed=scenario.seed,
+            GraspPlanner(
+                DepthEvidence(
+                    parameters=gripper.parameters,
+                    config=gripper.depth_planner,
+                    seed=scenario.seed,
+                )
             ),
             **size,
         )

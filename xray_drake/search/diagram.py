@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from xray_drake.grasping.planner import ModelGraspPlanner
+from xray_drake.grasping.evidence.model import ModelEvidence
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.scene.heap import Heap
 from xray_drake.search.boxes import SearchParts, add_decision, add_perception
 from xray_drake.search.execution import add_execution
@@ -103,11 +104,13 @@ def build_search_diagram(
     builder = DiagramBuilder()
     station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
     builder.AddSystem(station)
-    planner = ModelGraspPlanner(
-        heap.models,
-        parameters=scenario.gripper.parameters,
-        config=scenario.gripper.planner,
-        seed=scenario.seed,
+    planner = GraspPlanner(
+        ModelEvidence(
+            heap.models,
+            parameters=scenario.gripper.parameters,
+            config=scenario.gripper.planner,
+            seed=scenario.seed,
+        )
     )
     inside = SearchParts(scenario, heap, parts, parts.labels, planner)
     replaced = {

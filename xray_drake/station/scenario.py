@@ -45,9 +45,9 @@ from xray_drake.configuration import (
     write_tree,
 )
 from xray_drake.faults import BREAKDOWNS
-from xray_drake.grasping.depth_planner import DepthPlannerConfig
+from xray_drake.grasping.evidence.depth import DepthPlannerConfig
+from xray_drake.grasping.evidence.model import ModelPlannerConfig
 from xray_drake.grasping.gripper_geometry import GripperParameters
-from xray_drake.grasping.planner import GraspPlannerConfig
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.actuation.ideal import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
@@ -196,7 +196,7 @@ class GripperConfig:
     # What the gripper can do.
     parameters: GripperParameters = field(default_factory=GripperParameters)
     # How "models" searches for grasps.
-    planner: GraspPlannerConfig = field(default_factory=GraspPlannerConfig)
+    planner: ModelPlannerConfig = field(default_factory=ModelPlannerConfig)
     # How "depth" does.
     depth_planner: DepthPlannerConfig = field(
         default_factory=DepthPlannerConfig

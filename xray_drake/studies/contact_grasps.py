@@ -23,9 +23,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from xray_drake.grasping.candidates import jaw_candidates, suction_candidates
-from xray_drake.grasping.judgement import GRAVITY, GraspJudge, JudgedGrasp
-from xray_drake.grasping.planner import ModelGraspPlanner
+from xray_drake.grasping.candidates import Failures
+from xray_drake.grasping.evidence.model import ModelEvidence
+from xray_drake.grasping.judgement import GRAVITY, TOO_WEAK, JudgedGrasp
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -169,12 +170,12 @@ def _measure(
         elif judged.quality > 0.0:
             for load in loads:
                 heavy = _weighing(model, load * judged.holding)
-                real = ModelGraspPlanner([heavy], seed=SEED + rest)
-                again = real.judge(
+                evidence = ModelEvidence([heavy], seed=SEED + rest)
+                again = GraspPlanner(evidence).judge(
                     grasp,
                     {model.name: X_WO},
                     X_WG_perturbed=grasp.X_WG,
-                    friction=real.friction(model.name),
+                    friction=evidence.friction(model.name),
                 )
                 loaded = GraspCell(heavy, X_WO, carrier)
                 trials.append(loaded.try_out(grasp, again, X_WO))
@@ -223,38 +224,18 @@ def _draw_grasps(
 
     Of each kind one that holds, and one that is rejected by its wrench.
     """
-    real = ModelGraspPlanner([model], seed=seed)
+    evidence = ModelEvidence([model], seed=seed)
+    real, friction = GraspPlanner(evidence), evidence.friction(model.name)
+    parameters = evidence.gripper.parameters
     strong = replace(
-        real.parameters,
+        parameters,
         friction=LOOSE_FRICTION,
-        vacuum_force=LOOSE_STRENGTH * real.parameters.vacuum_force,
-        cup_elasticity=LOOSE_STRENGTH * real.parameters.cup_elasticity,
-    )
-    loose = ModelGraspPlanner([model], parameters=strong, seed=seed)
-    config, friction = real.config, real.friction(model.name)
-    pairs, points = loose.samples(model.name)
-    both = (
-        jaw_candidates(
-            model,
-            pairs,
-            X_WO,
-            GraspJudge([model]),
-            friction=loose.friction(model.name),
-            max_tilt=config.max_tilt,
-            insertion=config.insertion,
-        ),
-        suction_candidates(
-            model,
-            points,
-            X_WO,
-            parameters=strong,
-            friction=loose.friction(model.name),
-            max_tilt=config.max_tilt,
-            seal_tolerance=config.judgement.seal_tolerance,
-            turns=config.suction_turns,
-        ),
+        vacuum_force=LOOSE_STRENGTH * parameters.vacuum_force,
+        cup_elasticity=LOOSE_STRENGTH * parameters.cup_elasticity,
     )
     poses, X_OW = {model.name: X_WO}, np.linalg.inv(X_WO)
+    loose = ModelEvidence([model], parameters=strong, seed=seed)
+    both = loose.look(model.name, poses).all_candidates(Failures())
     for candidates in both:
         wanted = {True, False}
         rng = stream(seed, f"{candidates.kind.value} of {model.name}")
@@ -270,7 +251,7 @@ def _draw_grasps(
                 grasp, poses, X_WG_perturbed=grasp.X_WG, friction=friction
             )
             held = judged.quality > 0.0
-            by_wrench = judged.reason.startswith("holds ")
+            by_wrench = judged.reason.startswith(TOO_WEAK)
             if not (held or by_wrench) or held not in wanted:
                 continue
             wanted.remove(held)
@@ -319,7 +300,7 @@ class GraspCell:
             station,
             self._parts,
             heap,
-            ModelGraspPlanner([model]),
+            GraspPlanner(ModelEvidence([model])),
         )
         self._controller = execution.controller
         builder.ExportInput(self._controller.GetInputPort("action"), "action")

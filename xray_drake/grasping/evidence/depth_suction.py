@@ -1,12 +1,15 @@
 """Suction grasps from a depth image: where the cup's lip finds a flat place."""
 
+from functools import partial
+
 import numpy as np
 
-from xray_drake.grasping.depth_surface import DepthSurface
-from xray_drake.grasping.sampling import (
+from xray_drake.grasping.candidates import SuctionPoints
+from xray_drake.grasping.evidence.depth_surface import DepthSurface
+from xray_drake.grasping.seal import (
     Seal,
-    SuctionPoints,
     cup_frames,
+    find_seals,
     fit_seal,
     ring_offsets,
 )
@@ -72,19 +75,17 @@ def seal_on_depth(
     )
 
 
-def find_seals(
+def seals_seen(
     surface: DepthSurface,
     *,
     count: int,
     radius: float,
     tolerance: float,
     max_normal_angle: float,
-    room: float = 0.004,
-) -> SuctionPoints:
-    """Finds places where the cup seals.
+) -> tuple[SuctionPoints, int]:
+    """Finds places where the cup seals; see ``seal.find_seals``.
 
-    Cups are laid straight down on pixels spread evenly over the object, and
-    turned twice into the plane that their lip meets.
+    Cups are laid straight down on pixels spread evenly over the object.
 
     Args:
         surface: what is seen.
@@ -93,34 +94,21 @@ def find_seals(
         tolerance: largest distance of the surface under the lip from its
             plane, m.
         max_normal_angle: largest deviation of the surface's normals, rad.
-        room: the larger cup of ``roomy`` has a lip wider by this radius, m.
+
+    Returns:
+        The places in the world, and at how many others it does not seal.
     """
     mask = surface.mask
     stride = max(1, int(np.sqrt(np.count_nonzero(mask) / count)))
     chosen = np.zeros(mask.shape, bool)
     chosen[::stride, ::stride] = mask[::stride, ::stride]
     point = surface.points_W[chosen]
-    X = cup_frames(point, np.broadcast_to([0.0, 0.0, -1.0], point.shape))
-    for loose in (10.0, 4.0, 1.0):
-        seal = seal_on_depth(
-            surface,
-            X,
-            radius=radius,
-            tolerance=loose * tolerance,
-            max_normal_angle=min(loose * max_normal_angle, np.pi),
-        )
-        keep = seal.closed
-        X = cup_frames(seal.center[keep], seal.normal[keep])
-    roomy = seal_on_depth(
-        surface,
-        X,
-        radius=radius + room,
-        tolerance=1.5 * tolerance,
-        max_normal_angle=1.5 * max_normal_angle,
-    ).closed
-    return SuctionPoints(
-        point=X[:, :3, 3],
-        approach=X[:, :3, 2],
-        unevenness=seal.unevenness[keep],
-        roomy=roomy,
+    found = find_seals(
+        partial(seal_on_depth, surface),
+        cup_frames(point, np.broadcast_to([0.0, 0.0, -1.0], point.shape)),
+        (10.0, 4.0, 1.0),
+        radius=radius,
+        tolerance=tolerance,
+        max_normal_angle=max_normal_angle,
     )
+    return found, len(point) - len(found)

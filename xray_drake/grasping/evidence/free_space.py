@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.depth_approach import ApproachShape
+from xray_drake.grasping.evidence.approach_shape import ApproachShape
 from xray_drake.messages import GraspKind
 from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y, BIN_WALL_HEIGHT
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from xray_drake.grasping.depth_surface import DepthSurface
+from xray_drake.grasping.candidates import AntipodalPairs, Rows
+from xray_drake.grasping.evidence.depth_surface import DepthSurface
 
 _WINDOW = 4
 """Half the size of the window about a rim's pixel, pixels."""
@@ -41,7 +42,7 @@ _PAD_ROWS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Rims:
+class Rims(Rows):
     """Upper edges of walls, pixel by pixel.
 
     Attributes:
@@ -54,48 +55,9 @@ class Rims:
     normal: np.ndarray
     wall: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.point)
-
-    def take(self, index: np.ndarray) -> "Rims":
-        """Returns some of them, by index or by (n,) bool mask."""
-        return Rims(self.point[index], self.normal[index], self.wall[index])
-
 
 @dataclass(frozen=True, eq=False)
-class RimPairs:
-    """Pairs of rims whose walls two opposite pads can squeeze.
-
-    Attributes:
-        first: (n, 3) the rim on the +axis side, in the world, m.
-        second: (n, 3) the opposite rim, m.
-        axis: (n, 3) unit closing axis, from ``second`` towards ``first``.
-        width: (n,) distance of the rims along the axis, m.
-        angle: (n,) between the axis and a wall's normal, rad.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    axis: np.ndarray
-    width: np.ndarray
-    angle: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-    def take(self, index: np.ndarray) -> "RimPairs":
-        """Returns some of them, by index or by (n,) bool mask."""
-        return RimPairs(
-            self.first[index],
-            self.second[index],
-            self.axis[index],
-            self.width[index],
-            self.angle[index],
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Squeeze:
+class Contact:
     """What pads meet that close on walls.
 
     Attributes:
@@ -260,7 +222,7 @@ def pair_rims(
     max_width: float,
     max_offset: float,
     max_step: float,
-) -> RimPairs:
+) -> tuple[AntipodalPairs, int]:
     """Finds all pairs of rims that are antipodal.
 
     As in Dex-Net 2.0 (Mahler et al. 2017), where pairs of edge pixels are
@@ -274,35 +236,38 @@ def pair_rims(
         max_width: largest distance along the axis, m.
         max_offset: largest sideways distance from the axis, m.
         max_step: largest difference in height, m.
+
+    Returns:
+        The pairs in the world, and how many others are too wide.
     """
     i, j = np.triu_indices(len(rims), 1)
-    d = (rims.point[i] - rims.point[j]).astype(np.float32)
     opposed = np.einsum("ni,ni->n", rims.normal[i], rims.normal[j])
     cone = np.arctan(friction)
     # The axis halves the angle between one normal and the other's opposite.
-    near = (opposed <= -np.cos(2 * cone)) & (
-        np.einsum("ni,ni->n", d, d) <= max_width**2 + max_step**2
-    )
-    i, j, d, opposed = i[near], j[near], d[near].astype(float), opposed[near]
+    facing = np.flatnonzero(opposed <= -np.cos(2 * cone))
+    i, j, opposed = i[facing], j[facing], opposed[facing]
+    d = rims.point[i] - rims.point[j]
     axis = _unit(rims.normal[i] - rims.normal[j])
     width = np.einsum("ni,ni->n", d, axis)
     side = _unit(np.cross(axis, [0.0, 0.0, 1.0]))
     offset = np.abs(np.einsum("ni,ni->n", d, side))
     step = np.abs(np.einsum("ni,ni->n", d, np.cross(side, axis)))
-    keep = (
+    opposite = (
         (width >= min_width)
-        & (width <= max_width)
         & (offset <= max_offset)
         & (step <= max_step)
         & (np.abs(axis[:, 2]) < 0.95)
     )
-    return RimPairs(
+    pairs = AntipodalPairs(
         first=rims.point[i],
         second=rims.point[j],
         axis=axis,
         width=width,
         angle=0.5 * np.arccos(np.clip(-opposed, -1.0, 1.0)),
-    ).take(keep)
+        cell=np.arange(len(i))[:, None],
+    ).take(opposite)
+    narrow = pairs.width <= max_width
+    return pairs.take(narrow), int(np.count_nonzero(~narrow))
 
 
 def close_pads(
@@ -315,7 +280,7 @@ def close_pads(
     pad_height: float,
     tip: float,
     compliance: float,
-) -> Squeeze:
+) -> Contact:
     """Closes pads on walls until each touches.
 
     Args:
@@ -370,7 +335,7 @@ def close_pads(
         share = touched.sum(axis=1) / (_PAD_COLUMNS * _PAD_ROWS)
         coverage = np.minimum(coverage, share)
         middle += 0.5 * (touch @ points_W) / count[:, None]
-    return Squeeze(
+    return Contact(
         found=found & (width > 0),
         width=np.maximum(width, 0.0),
         angle=angle,

@@ -1,67 +1,23 @@
-"""Grasp candidates on one object, in its body frame O."""
+"""Samples of grasps on one object's mesh, in its body frame O."""
 
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import trimesh
 
-RING_POINTS = 12
-"""Points around the suction cup's lip."""
+from xray_drake.grasping.candidates import AntipodalPairs, SuctionPoints
+from xray_drake.grasping.seal import (
+    Seal,
+    cup_frames,
+    find_seals,
+    fit_seal,
+    frame_from_z,
+    ring_offsets,
+)
 
-
-@dataclass(frozen=True, eq=False)
-class AntipodalPairs:
-    """Pairs of points that two opposite fingers can squeeze.
-
-    Attributes:
-        first: (n, 3) contact of the finger on the +axis side, in O, m.
-        second: (n, 3) contact of the opposite finger, in O, m.
-        axis: (n, 3) unit closing axis, from ``second`` to ``first``.
-        angle: (n,) the larger of the two angles between the axis and a surface
-            normal, rad.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    axis: np.ndarray
-    angle: np.ndarray
-
-    @property
-    def middle(self) -> np.ndarray:
-        """The (n, 3) midpoints, m."""
-        return 0.5 * (self.first + self.second)
-
-    @property
-    def width(self) -> np.ndarray:
-        """The (n,) distances between the contacts, m."""
-        return np.linalg.norm(self.first - self.second, axis=-1)
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-
-@dataclass(frozen=True, eq=False)
-class SuctionPoints:
-    """Places where a suction cup seals.
-
-    In the object's frame O where it is sampled on a model, in the world where
-    it is found in an image.
-
-    Attributes:
-        point: (n, 3) centre of the lip on the surface, m.
-        approach: (n, 3) unit normal of the lip's plane, into the object.
-        unevenness: (n,) largest distance of the surface under the lip from
-            that plane, m.
-        roomy: (n,) whether a larger cup would seal there, too.
-    """
-
-    point: np.ndarray
-    approach: np.ndarray
-    unevenness: np.ndarray
-    roomy: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.point)
+CELL = 0.01
+"""Grasps whose centres fall in one cell of this size, m, are alike."""
 
 
 def cast_rays(
@@ -90,37 +46,6 @@ def cast_rays(
     )
     face[ray] = triangle
     return distance, face
-
-
-def ring_offsets(radius: float) -> np.ndarray:
-    """Returns (n, 2) points of a cup: lip, a ring of half its size, centre.
-
-    The first ``RING_POINTS`` are the lip.
-
-    Args:
-        radius: of the lip, m.
-    """
-    angle = 2 * np.pi * np.arange(RING_POINTS) / RING_POINTS
-    lip = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return radius * np.concatenate([lip, 0.5 * lip[::2], np.zeros((1, 2))])
-
-
-def frame_from_z(z: np.ndarray) -> np.ndarray:
-    """Returns (..., 3, 3) rotations whose last column is the unit vector z."""
-    helper = np.where(
-        np.abs(z[..., :1]) < 0.9, np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    )
-    y = np.cross(z, helper)
-    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-    return np.stack([np.cross(y, z), y, z], axis=-1)
-
-
-def cup_frames(point: np.ndarray, approach: np.ndarray) -> np.ndarray:
-    """Returns (n, 4, 4) poses of cups at points along unit approaches."""
-    X = np.tile(np.eye(4), (len(point), 1, 1))
-    X[:, :3, :3] = frame_from_z(approach)
-    X[:, :3, 3] = point
-    return X
 
 
 def surface_points(
@@ -159,7 +84,7 @@ def sample_antipodal(
     friction: float,
     max_width: float,
     min_width: float = 0.002,
-) -> AntipodalPairs:
+) -> tuple[AntipodalPairs, int]:
     """Samples antipodal pairs (Mahler et al., Dex-Net 1.0 and 2.0).
 
     From each surface point a ray goes inwards, along the normal or within the
@@ -175,6 +100,9 @@ def sample_antipodal(
         friction: Coulomb coefficient μ.
         max_width: largest distance of the contacts, m.
         min_width: smallest distance of the contacts, m.
+
+    Returns:
+        The pairs in O, and how many others are too wide.
     """
     points, faces = surface_points(mesh, count, rng)
     inward = -mesh.face_normals[faces]
@@ -208,43 +136,26 @@ def sample_antipodal(
     )
     distinct = np.ones(len(hit), bool)
     distinct[len(near) :] = np.abs(near + start - (beyond - back)) > 1e-5
-    keep = (
+    antipodal = (
         (hit >= 0)
         & distinct
         & (distance >= min_width)
-        & (distance <= max_width)
         & (cosine >= np.cos(cone) - 1e-9)
     )
+    keep = antipodal & (distance <= max_width)
     first = points[keep]
     axis = -direction[keep]
-    return AntipodalPairs(
+    second = first - distance[keep, None] * axis
+    place = np.round(0.5 * (first + second) / CELL)
+    pairs = AntipodalPairs(
         first=first,
-        second=first - distance[keep, None] * axis,
+        second=second,
         axis=axis,
+        width=np.linalg.norm(first - second, axis=-1),
         angle=np.arccos(np.clip(cosine[keep], -1.0, 1.0)),
+        cell=np.column_stack([place, np.round(2 * axis)]),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Seal:
-    """How a cup meets a surface.
-
-    Attributes:
-        closed: whether it seals.
-        center: (3,) centre of the lip's plane on the cup's axis, m.
-        normal: (3,) unit normal of that plane, into the object.
-        unevenness: largest distance of the surface under the lip from that
-            plane, m.
-        nearest: smallest distance from the cup's plane, along its axis, m.
-        spread: largest distance minus smallest, m.
-    """
-
-    closed: np.ndarray
-    center: np.ndarray
-    normal: np.ndarray
-    unevenness: np.ndarray
-    nearest: np.ndarray
-    spread: np.ndarray
+    return pairs, int(np.count_nonzero(antipodal & (distance > max_width)))
 
 
 def seal_cups(
@@ -301,56 +212,6 @@ def seal_cups(
     )
 
 
-def fit_seal(
-    X_C: np.ndarray,
-    depth: np.ndarray,
-    normals: np.ndarray,
-    met: np.ndarray,
-    *,
-    radius: float,
-    tolerance: float,
-    max_normal_angle: float,
-) -> Seal:
-    """Says how cups meet the surface under the points of their lips.
-
-    Args:
-        X_C: (n, 4, 4) poses of cups: origin at the lip, z into the object.
-        depth: (n, k) distance of the surface from the cup's plane along its
-            axis at each of the k points of ``ring_offsets``, m.
-        normals: (n, k, 3) its unit normals there, out of the object.
-        met: (n,) whether there is a surface under all of them.
-        radius: of the lip, m.
-        tolerance: see :func:`seal_cups`.
-        max_normal_angle: see :func:`seal_cups`.
-
-    Returns:
-        A Seal whose attributes have a leading axis of n, in the poses' frame.
-    """
-    offsets = ring_offsets(radius)
-    n, k = depth.shape
-    A = np.column_stack([offsets, np.ones(k)])
-    plane = depth[:, :RING_POINTS] @ np.linalg.pinv(A[:RING_POINTS]).T
-    slope = plane[:, :2]
-    scale = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1))
-    deviation = (depth - plane @ A.T) * scale[:, None]
-    uneven = np.abs(deviation[:, :RING_POINTS]).max(axis=1)
-    bulge = -deviation[:, RING_POINTS:].min(axis=1)
-    normal_C = scale[:, None] * np.column_stack([-slope, np.ones(n)])
-    normal = np.einsum("nij,nj->ni", X_C[:, :3, :3], normal_C)
-    cosines = -np.einsum("nki,ni->nk", normals, normal)
-    return Seal(
-        closed=met
-        & (uneven <= tolerance)
-        & (bulge <= 2 * tolerance)
-        & (cosines.min(axis=1) >= np.cos(max_normal_angle)),
-        center=X_C[:, :3, 3] + plane[:, 2:] * X_C[:, :3, 2],
-        normal=normal,
-        unevenness=uneven,
-        nearest=depth.min(axis=1),
-        spread=np.ptp(depth, axis=1),
-    )
-
-
 def sample_suction(
     mesh: trimesh.Trimesh,
     rng: np.random.Generator,
@@ -359,11 +220,8 @@ def sample_suction(
     radius: float,
     tolerance: float = 0.001,
     max_normal_angle: float = np.deg2rad(15.0),
-    room: float = 0.004,
-) -> SuctionPoints:
-    """Samples places where a suction cup seals (Mahler et al., Dex-Net 3.0).
-
-    The cup is turned into the plane that its lip meets, and projected again.
+) -> tuple[SuctionPoints, int]:
+    """Samples places where a suction cup seals; see ``seal.find_seals``.
 
     Args:
         mesh: closed surface in O, m.
@@ -373,33 +231,18 @@ def sample_suction(
         tolerance: largest distance of the surface under the lip from its
             plane, m.
         max_normal_angle: largest deviation of the surface's normals, rad.
-        room: the larger cup of ``SuctionPoints.roomy`` has a lip wider by
-            this radius, m.
+
+    Returns:
+        The places in O, and at how many others it does not seal.
     """
     points, faces = surface_points(mesh, count, rng)
-    X_OC = cup_frames(points, -mesh.face_normals[faces])
-    for _ in range(2):
-        seal = seal_cups(
-            mesh,
-            X_OC,
-            radius=radius,
-            tolerance=tolerance,
-            max_normal_angle=max_normal_angle,
-            reach=0.01,
-        )
-        X_OC = cup_frames(seal.center, seal.normal)
-    keep = seal.closed
-    roomy = seal_cups(
-        mesh,
-        X_OC[keep],
-        radius=radius + room,
-        tolerance=1.5 * tolerance,
-        max_normal_angle=1.5 * max_normal_angle,
-        reach=0.01,
-    ).closed
-    return SuctionPoints(
-        point=seal.center[keep],
-        approach=seal.normal[keep],
-        unevenness=seal.unevenness[keep],
-        roomy=roomy,
+    found = find_seals(
+        partial(seal_cups, mesh, reach=0.01),
+        cup_frames(points, -mesh.face_normals[faces]),
+        (np.inf, 1.0),
+        radius=radius,
+        tolerance=tolerance,
+        max_normal_angle=max_normal_angle,
     )
+    found = replace(found, cell=np.round(found.point / CELL))
+    return found, len(points) - len(found)

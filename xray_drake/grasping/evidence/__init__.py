@@ -1,0 +1,1 @@
+"""What is known of the objects that are to be grasped."""
