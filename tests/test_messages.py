@@ -8,11 +8,13 @@ from pydrake.common.value import Value
 from xray_drake.messages import (
     Grasp,
     GraspKind,
+    GraspPlan,
     GripperStatus,
     InstanceMasks,
     Message,
     OccupancyDistribution,
     Outcome,
+    Rejection,
     SearchAction,
     TargetMask,
 )
@@ -85,6 +87,26 @@ def test_defaults_mean_nothing() -> None:
     assert not SearchAction().grasp
     status = GripperStatus()
     assert (status.held, status.outcome) == ("", Outcome.NONE)
+
+
+def test_a_plan_says_in_one_line_why_candidates_failed() -> None:
+    jaw, suction = GraspKind.JAW, GraspKind.SUCTION
+    plan = GraspPlan(
+        rejections=(
+            Rejection(jaw, "too wide", 40),
+            Rejection(jaw, "jaw hits mug", 7),
+            Rejection(jaw, "jaw hits floor", 3),
+            Rejection(jaw, "failed before", 2),
+            Rejection(suction, "cup does not seal", 9),
+        )
+    )
+    assert not plan
+    assert plan.why_not(2) == (
+        "jaw: 40 × too wide, 7 × jaw hits mug, 5 × otherwise; "
+        "suction: 9 × cup does not seal"
+    )
+    assert GraspPlan(Grasp(jaw))
+    assert GraspPlan().why_not() == ""
 
 
 @pytest.mark.parametrize("kind", list(GraspKind))

@@ -164,7 +164,7 @@ class Rejection(NamedTuple):
 
     Attributes:
         kind: of the grasps.
-        reason: in words that go on from the number: "too wide", "hit mug_003".
+        reason: in a few words: "too wide", "jaw hits mug_003".
         candidates: how many of them.
     """
 
@@ -198,9 +198,9 @@ class GraspPlan(Message):
         parts = []
         for kind in (GraspKind.JAW, GraspKind.SUCTION):
             those = [r for r in self.rejections if r.kind is kind]
-            told = [f"{r.candidates} {r.reason}" for r in those[:most]]
+            told = [f"{r.candidates} × {r.reason}" for r in those[:most]]
             others = sum(r.candidates for r in those[most:])
-            told += [f"{others} otherwise"] if others else []
+            told += [f"{others} × otherwise"] if others else []
             if told:
                 parts.append(f"{kind.value}: {', '.join(told)}")
         return "; ".join(parts)

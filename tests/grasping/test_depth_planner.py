@@ -102,8 +102,8 @@ def test_grasps_on_a_thin_box_hold(planner, truth):
         X_WO = at(x, y, 0.0025, yaw=yaw)
         grasp = plan(planner, block(FLAT, X_WO), camera=cameras[index % 3])
         judged = truth.judge(
-            grasp=replace(grasp, object="flat"),
-            poses={"flat": X_WO},
+            replace(grasp, object="flat"),
+            {"flat": X_WO},
             X_WG_perturbed=grasp.X_WG,
             friction=0.5,
         )
@@ -190,6 +190,21 @@ def test_nothing_between_high_posts(planner):
     flat = block(FLAT, at(0, 0, 0.0025))
     assert not plan(planner, flat, *walls)
     assert plan(planner, flat)
+
+
+@pytest.mark.parametrize(
+    ("changes", "extents", "reason"),
+    [
+        ({}, PLATE, "too wide"),
+        ({"density": 1e6}, PLATE, "holds "),
+        ({}, [0.08, 0.02, 0.01], "cup does not seal"),
+    ],
+)
+def test_a_plan_says_why_candidates_failed(changes, extents, reason):
+    seen = SeenObject(
+        *reversed(see(CAMERA, block(extents, at(0, 0, 0.005)))), CAMERA
+    )
+    assert reason in depth_planner(**changes).plan("it", seen).why_not(9)
 
 
 def test_excluded_grasps_are_not_returned(planner):

@@ -127,6 +127,28 @@ def test_nothing_between_high_posts(planner):
     assert planner.plan("flat", {"flat": poses["flat"]})
 
 
+def test_a_plan_says_why_candidates_failed(planner):
+    """Each kind's commonest reason first; of the weak ones the strongest."""
+    plan = planner.plan("plate", {"plate": at(0, 0, 0.005)})
+    reasons = {(r.kind, r.reason): r.candidates for r in plan.rejections}
+    assert reasons[GraspKind.JAW, "too wide"] > 20
+    assert reasons[GraspKind.SUCTION, "cup does not seal"] > 20
+    counts = [r.candidates for r in plan.rejections if r.kind is GraspKind.JAW]
+    assert counts == sorted(counts, reverse=True)
+
+    under = {"flat": at(0, 0, 0.0025), "roof": at(0, 0, 0.03)}
+    hit = {r.reason for r in planner.plan("flat", under).rejections}
+    assert "jaw hits roof" in hit
+
+    iron = block("iron", 0.08, 0.08, 0.03, density=7800)
+    plan = model_planner([iron]).plan("iron", {"iron": at(0, 0, 0.015)})
+    assert "holds 14.00 of 14.69 N" in plan.why_not(9)
+
+    first = planner.plan("plate", {"plate": at(0, 0, 0.005)}).grasp
+    again = planner.plan("plate", {"plate": at(0, 0, 0.005)}, excluded=[first])
+    assert "failed before" in again.why_not(9)
+
+
 @pytest.mark.parametrize("name", ["flat", "plate"])
 def test_excluded_grasps_are_not_returned(planner, name):
     poses = {name: at(0.02, 0.01, 0.0025 if name == "flat" else 0.005, 0.3)}

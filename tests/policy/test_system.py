@@ -308,6 +308,21 @@ def test_a_scores_unit_does_not_matter(unit: float) -> None:
     assert policy.advance().grasp.object == "book"
 
 
+def test_whoever_is_passed_over_is_told_why() -> None:
+    quality = {"cup": 0.2, "box": 0.9}
+    planner = Planner(*quality, quality=quality)
+    policy = Policy(planner, min_grasp_quality=0.4)
+    assert [c.passed_over for c in policy.advance().ranking] == [
+        "jaw: 7 × too wide",
+        "quality 0.20 < 0.4",
+        "",
+    ]
+    planner.quality = {**quality, "box": 0.1}
+    policy.fix("status", DONE)
+    told = [c.passed_over for c in policy.advance().ranking]
+    assert told == ["jaw: 7 × too wide", "", "quality 0.10 < 0.4"]
+
+
 def test_no_grasp_at_all_is_an_action_too() -> None:
     planner = Planner()
     action = Policy(planner).advance()
@@ -315,6 +330,7 @@ def test_no_grasp_at_all_is_an_action_too() -> None:
     assert action.grasp.kind is GraspKind.NONE
     assert not action.is_target
     assert planner.names_asked == ["book", "cup", "box"]
+    assert {c.passed_over for c in action.ranking} == {"jaw: 7 × too wide"}
 
 
 def test_nothing_seen_is_no_grasp() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xray_drake.messages import Grasp, GraspKind, Outcome
+from xray_drake.messages import Grasp, GraspKind, Outcome, RankedCandidate
 from xray_drake.search.record import (
     ActionRecord,
     SearchRecord,
@@ -32,6 +32,7 @@ OUR_ACTION_KEYS = {
     "lifted",
     "duration",
     "segment",
+    "ranking",
 }
 """Beyond those; documented in the classes."""
 
@@ -56,6 +57,10 @@ def jaw_action(
         true_mask_in_support=0.97,
         seconds={"occupancy": 0.0301234, "planning": 0.2},
         segment="segment_3",
+        ranking=(
+            RankedCandidate("cup", np.pi, True, "jaw: 7 × too wide"),
+            RankedCandidate("book", 1.5, False),
+        ),
     )
 
 
@@ -106,6 +111,15 @@ def test_values_of_the_record() -> None:
     assert first["true_mask_in_support"] == 0.97
     assert (first["object"], first["segment"]) == ("book", "segment_3")
     assert first["seconds"]["planning"] == 0.2
+    assert first["ranking"] == [
+        {
+            "object": "cup",
+            "score": 3.1416,
+            "hides": True,
+            "passed_over": "jaw: 7 × too wide",
+        },
+        {"object": "book", "score": 1.5, "hides": False, "passed_over": ""},
+    ]
 
 
 def test_no_grasp_is_null() -> None:

@@ -301,11 +301,13 @@ def _told(failures: Failures) -> tuple[Rejection, ...]:
             max(before.reason, reason, key=_force),
             before.candidates + number,
         )
+    rejections = [
+        r._replace(reason=r.reason.replace(" N, weighs ", " of "))
+        for r in told.values()
+        if r.candidates
+    ]
     return tuple(
-        sorted(
-            (r for r in told.values() if r.candidates),
-            key=lambda r: (r.kind.value, -r.candidates),
-        )
+        sorted(rejections, key=lambda r: (r.kind.value, -r.candidates))
     )
 
 

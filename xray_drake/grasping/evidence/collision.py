@@ -1,6 +1,5 @@
 """Collision checks of a gripper that comes straight down on a heap."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,26 +35,9 @@ _POINT_SPACING = 0.025
 _ALONG_X = RotationMatrix.MakeYRotation(np.pi / 2)
 """Turns a cylinder's axis from z to x."""
 
-_OBJECT_AWAY = np.array([1.0, 0, 0, 0, 0, 0, 100.0])
-_TOOL_AWAY = np.array([1.0, 0, 0, 0, 0, 0, -100.0])
-"""Generalised positions of bodies that take no part."""
-
-
-def _generalised(X: np.ndarray) -> np.ndarray:
-    """Returns the (7,) position of a floating body at a 4×4 pose.
-
-    The largest component of the quaternion is found first, for accuracy.
-    """
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = X.tolist()
-    candidates = (
-        (1 + a + e + i, h - f, c - g, d - b),
-        (h - f, 1 + a - e - i, b + d, c + g),
-        (c - g, b + d, 1 - a + e - i, f + h),
-        (d - b, c + g, f + h, 1 - a - e + i),
-    )
-    q = max(candidates, key=lambda q: sum(v * v for v in q))
-    scale = 1.0 / math.sqrt(sum(v * v for v in q))
-    return np.array([*(v * scale for v in q), x, y, z])
+_OBJECT_AWAY = RigidTransform([0.0, 0.0, 100.0])
+_TOOL_AWAY = RigidTransform([0.0, 0.0, -100.0])
+"""Poses of bodies that take no part."""
 
 
 def _box_points(
@@ -226,12 +208,10 @@ class GraspScene:
         self._diagram = builder.Build()
         self._root_context = self._diagram.CreateDefaultContext()
         self._context = plant.GetMyMutableContextFromRoot(self._root_context)
-        self._q = np.zeros(plant.num_positions())
         self.set_poses({})
 
-    def _place(self, body: RigidBody, q: np.ndarray) -> None:
-        start = body.floating_positions_start()
-        self._q[start : start + 7] = q
+    def _place(self, body: RigidBody, X_WB: RigidTransform) -> None:
+        self._plant.SetFreeBodyPose(self._context, body, X_WB)
 
     def set_poses(self, poses: Mapping[str, np.ndarray]) -> None:
         """Places the objects.
@@ -247,40 +227,35 @@ class GraspScene:
             raise KeyError(f"no such objects: {sorted(unknown)}")
         for name, body in self._objects.items():
             X_WO = poses.get(name)
-            self._place(
-                body, _OBJECT_AWAY if X_WO is None else _generalised(X_WO)
-            )
+            away = X_WO is None
+            self._place(body, _OBJECT_AWAY if away else RigidTransform(X_WO))
 
     @contextmanager
     def without(self, name: str) -> Iterator[None]:
         """Takes an object out while the context lasts."""
-        start = self._objects[name].floating_positions_start()
-        saved = self._q[start : start + 7].copy()
-        self._q[start : start + 7] = _OBJECT_AWAY
+        body = self._objects[name]
+        saved = self._plant.GetFreeBodyPose(self._context, body)
+        self._place(body, _OBJECT_AWAY)
         try:
             yield
         finally:
-            self._q[start : start + 7] = saved
+            self._place(body, saved)
 
     def _query(self) -> QueryObject:
-        self._plant.SetPositions(self._context, self._q)
         return self._plant.get_geometry_query_input_port().Eval(self._context)
 
     def _set_jaw(self, X_WG: np.ndarray, opening: float) -> None:
-        X_WB = X_WG @ self._X_JB
-        q = _generalised(X_WB)
-        self._place(self._base, q)
+        X_WB = RigidTransform(X_WG @ self._X_JB)
+        self._place(self._base, X_WB)
         travel = 0.5 * (self._open_width - opening)
         for side, body in self._fingers.items():
-            finger = q.copy()
-            finger[4:] += side * travel * X_WB[:3, 1]
-            self._place(body, finger)
+            self._place(body, X_WB @ RigidTransform([0, side * travel, 0]))
         self._place(self._suction, _TOOL_AWAY)
 
     def _set_suction(self, X_WG: np.ndarray) -> None:
         for body in [self._base, *self._fingers.values()]:
             self._place(body, _TOOL_AWAY)
-        self._place(self._suction, _generalised(X_WG @ self._X_CB))
+        self._place(self._suction, RigidTransform(X_WG @ self._X_CB))
 
     def jaw_collides(self, X_WG: np.ndarray, opening: float) -> bool:
         """Returns whether the approach of the jaw hits anything.

@@ -21,9 +21,9 @@ from xray_drake.grasping.candidates import (
 from xray_drake.grasping.config import GraspPlannerConfig
 from xray_drake.grasping.evidence.clearance import clearance
 from xray_drake.grasping.evidence.collision import GraspScene
+from xray_drake.grasping.evidence.pads import touch
 from xray_drake.grasping.evidence.protocol import Approach, Squeeze
 from xray_drake.grasping.evidence.sampling import (
-    cast_rays,
     sample_antipodal,
     sample_suction,
     seal_cups,
@@ -37,7 +37,7 @@ from xray_drake.grasping.judgement import (
     too_weak,
 )
 from xray_drake.grasping.seal import Seal
-from xray_drake.grasping.wrench import PadContact, jaw_holding_force
+from xray_drake.grasping.wrench import jaw_holding_force
 from xray_drake.messages import Grasp, GraspKind
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.seeding import stream
@@ -434,7 +434,7 @@ class PlacedModel:
     ) -> tuple[float, float, float, float, str]:
         """Returns the row of a Squeeze."""
         X_OG = self.X_OW @ X_WG
-        touched = self._touch(X_OG, opening)
+        touched = touch(self._model.visual, X_OG, opening, self._gripper)
         if touched is None:
             return 0.0, 0.0, 0.0, 0.0, "a pad misses the object"
         contacts, width, coverage = touched
@@ -455,48 +455,6 @@ class PlacedModel:
         cosine = min(-contacts[0].normal @ y, contacts[1].normal @ y)
         angle = float(np.arccos(min(1.0, cosine)))
         return width, angle, coverage, holding, ""
-
-    def _touch(
-        self, X_OG: np.ndarray, opening: float
-    ) -> tuple[tuple[PadContact, PadContact], float, float] | None:
-        """Closes the pads until each touches the object.
-
-        Returns:
-            The contacts in O (the pad on the +y side first), the distance of
-            the closed pads, m, and the touched share of the pad touched less;
-            None if a pad finds nothing.
-        """
-        parameters, mesh = self._gripper.parameters, self._model.visual
-        tip = self._gripper.geometry.tip_length
-        x = (np.arange(3) - 1) * parameters.pad_width / 3
-        z = tip - parameters.pad_height * (np.arange(6) + 0.5) / 6
-        grid = [g.ravel() for g in np.meshgrid(x, z, indexing="ij")]
-        contacts, travel, coverage = [], 0.0, 1.0
-        for sign in (-1.0, 1.0):
-            side = np.full(len(grid[0]), -sign * 0.5 * opening)
-            origins = np.stack([grid[0], side, grid[1]], axis=-1)
-            origins = origins @ X_OG[:3, :3].T + X_OG[:3, 3]
-            directions = np.tile(sign * X_OG[:3, 1], (len(origins), 1))
-            distance, face = cast_rays(mesh, origins, directions)
-            distance[distance > opening] = np.inf
-            if not np.isfinite(distance).any():
-                return None
-            touch = distance <= distance.min() + parameters.pad_compliance
-            along = distance[touch, None] * directions[touch]
-            point = (origins[touch] + along).mean(axis=0)
-            normal = -mesh.face_normals[face[touch]].mean(axis=0)
-            area = parameters.pad_width * parameters.pad_height * touch.mean()
-            contacts.append(
-                PadContact(
-                    point=point,
-                    normal=normal / np.linalg.norm(normal),
-                    torsion_radius=2 / 3 * np.sqrt(area / np.pi),
-                )
-            )
-            travel += float(distance.min())
-            coverage = min(coverage, float(touch.mean()))
-        width = max(0.0, opening - travel)
-        return (contacts[0], contacts[1]), width, coverage
 
     def lay_cup(self, X_WG: np.ndarray) -> Seal:
         """Projects the lip on the model; see the protocol."""
