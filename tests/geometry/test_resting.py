@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from xray_drake.geometry.height_map import height_map
 from xray_drake.geometry.resting import (
     lean,
     resting_poses,
     standing,
     turns_into_itself,
 )
+from xray_drake.geometry.silhouette import height_map
 
 
 def heights(mesh: trimesh.Trimesh) -> list[float]:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import trimesh
 
-from xray_drake.geometry.height_map import height_map
+from xray_drake.geometry.silhouette import height_map
 
 _REACH = 60
 """Half width of the height maps that poses are compared by, cells."""

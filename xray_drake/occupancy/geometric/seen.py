@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.scanlines import Spans, convex_spans
+from xray_drake.geometry.silhouette import Spans, convex_spans
 from xray_drake.occupancy.geometric.config import ExactInferenceConfig
 from xray_drake.occupancy.geometric.flat_target import FlatTarget
 from xray_drake.occupancy.geometric.pose_search import PoseSearch, paste

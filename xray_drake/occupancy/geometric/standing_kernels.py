@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.height_map import draw_nearest
+from xray_drake.geometry.silhouette import draw_nearest
 from xray_drake.kernels import kernel
 
 _OUT = -1
