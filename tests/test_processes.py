@@ -3,136 +3,150 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from xray_drake.processes import (
-    ATTEMPTS,
-    Died,
-    Failed,
-    JobProcesses,
-    Overran,
-    Sent,
-)
-
-Send = Callable[[int], None]
+from xray_drake.processes import ATTEMPTS, JobError, Lost, how_it_died, run_jobs
 
 
-def count_up(job: int, send: Send) -> None:
-    for value in range(job):
-        send(value)
+def count_up(job: int) -> Iterator[int]:
+    yield from range(job)
 
 
-def test_a_job_sends_in_order_and_all_are_done() -> None:
-    events = list(JobProcesses(count_up, [2, 0, 3], workers=2))
-    assert all(isinstance(event, Sent) for event in events)
+def double(job: int) -> int:
+    return 2 * job
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_all_jobs_are_done_and_values_come_in_order(workers: int) -> None:
+    """In processes, or in this one; of generators and of functions."""
+    found = list(run_jobs(count_up, [2, 0, 3], workers=workers))
     for job in (2, 0, 3):
-        sent = [e.value for e in events if e.job == job]
-        assert sent == list(range(job))
+        assert [v for j, v in found if j == job] == list(range(job))
+    doubled = run_jobs(double, [1, 2], workers=workers)
+    assert sorted(doubled) == [(1, 2), (2, 4)]
 
 
-def wait_for_file(folder: Path, job: str, send: Callable[[str], None]) -> None:
+def wait_for_file(folder: Path, job: str) -> None:
     """Job "slow" is done after "quick", whose result was received."""
     if job == "slow":
         while not (folder / "received").exists():
             time.sleep(0.01)
-    send(job)
 
 
 def test_results_come_as_they_end(tmp_path: Path) -> None:
     order = []
-    for event in JobProcesses(
-        partial(wait_for_file, tmp_path), ["slow", "quick"], workers=2
-    ):
-        order.append(event.job)
+    work = partial(wait_for_file, tmp_path)
+    for job, _ in run_jobs(work, ["slow", "quick"], workers=2):
+        order.append(job)
         (tmp_path / "received").touch()
     assert order == ["quick", "slow"]
 
 
-def test_no_more_processes_than_workers(tmp_path: Path) -> None:
-    events = list(JobProcesses(partial(crowd, tmp_path), range(4), workers=2))
-    assert len({e.value[0] for e in events}) == 4  # a process for each
-    assert max(e.value[1] for e in events) <= 2
-
-
-def crowd(folder: Path, job: int, send: Callable) -> None:
+def crowd(folder: Path, job: int) -> Iterator[tuple[int, int]]:
     mine = folder / str(os.getpid())
     mine.touch()
-    send((os.getpid(), len(list(folder.iterdir()))))
+    yield os.getpid(), len(list(folder.iterdir()))
     mine.unlink()
 
 
-def die_at_two(job: tuple[int, ...], send: Send) -> None:
+def test_no_more_processes_than_workers(tmp_path: Path) -> None:
+    found = list(run_jobs(partial(crowd, tmp_path), range(4), workers=2))
+    pids, crowds = zip(*(value for _, value in found), strict=True)
+    assert len(set(pids)) == 4  # a process for each
+    assert max(crowds) <= 2
+
+
+def die_at_two(job: tuple[int, ...]) -> Iterator[int]:
     for value in job:
         if value == 2:
             os.kill(os.getpid(), signal.SIGKILL)
-        send(value)
+        yield value
 
 
-def test_a_job_whose_process_is_killed_is_tried_again_then_told() -> None:
-    events = list(JobProcesses(die_at_two, [(1, 2, 3), (4,)], workers=1))
-    killed = -signal.SIGKILL
-    assert events == [
-        Sent((1, 2, 3), 1),
-        Died((1, 2, 3), killed, 1, again=True),
-        Sent((1, 2, 3), 1),
-        Died((1, 2, 3), killed, ATTEMPTS, again=False),
-        Sent((4,), 4),
+def test_a_job_whose_process_is_killed_is_tried_again_then_lost() -> None:
+    jobs: Any = [(1, 2, 3), (4,)]
+    found = list(run_jobs(die_at_two, jobs, workers=1, lost=lambda lost: lost))
+    reason = "its process was killed by SIGKILL, perhaps since memory ran out"
+    assert found == [
+        *[((1, 2, 3), 1)] * ATTEMPTS,
+        (
+            (1, 2, 3),
+            Lost(
+                (1, 2, 3),
+                "died",
+                f"{reason} ({ATTEMPTS} times)",
+                status=-signal.SIGKILL,
+            ),
+        ),
+        ((4,), 4),
     ]
+    named: Any = {"name": "job {}".format, "advice": "go on"}
+    with pytest.raises(JobError, match=r"^job \(2,\): its .*times\); go on$"):
+        list(run_jobs(die_at_two, [(2,)], workers=1, **named))
 
 
 @pytest.mark.parametrize(
-    ("status", "attempts", "reason"),
+    ("status", "told"),
     [
-        (-signal.SIGSEGV, 1, "was killed by SIGSEGV"),
-        (-signal.SIGSEGV, 2, "was killed by SIGSEGV (2 times)"),
-        (-signal.SIGKILL, 1, "was killed by SIGKILL, perhaps since memory"),
-        (-63, 1, "was killed by signal 63"),
-        (3, 1, "ended with status 3"),
+        (-signal.SIGSEGV, "was killed by SIGSEGV"),
+        (-63, "was killed by signal 63"),
+        (3, "ended with status 3"),
     ],
 )
-def test_how_a_process_died_is_told(
-    status: int, attempts: int, reason: str
-) -> None:
-    assert Died("job", status, attempts, False).reason.startswith(reason)
+def test_how_a_process_died_is_told(status: int, told: str) -> None:
+    assert how_it_died(status) == told
 
 
-def send_then_stay(job: tuple[int, ...], send: Send) -> None:
+def without(job: tuple[int, ...], value: object) -> tuple[int, ...] | None:
+    if isinstance(value, Lost):
+        return job[1:] or None
+    return tuple(v for v in job if v != value) or None
+
+
+def test_what_was_yielded_is_not_done_again() -> None:
+    """Nor what was lost, where that has a value in its place."""
+    found = run_jobs(
+        die_at_two,
+        [(1, 2, 3)],
+        workers=1,
+        remaining=without,
+        lost=lambda lost: lost,
+    )
+    told = [(j, v.cause if isinstance(v, Lost) else v) for j, v in found]
+    assert told == [((1, 2, 3), 1), ((2, 3), "died"), ((3,), 3)]
+
+
+def yield_then_stay(job: tuple[int, ...]) -> Iterator[int]:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    for value in job:
-        send(value)
+    yield from job
     if len(job) == 2:
         time.sleep(600)
 
 
 def test_a_job_that_takes_too_long_is_stopped_and_others_go_on() -> None:
-    events = list(
-        JobProcesses(
-            send_then_stay,
-            [(1, 2), (3,)],
-            workers=1,
-            remaining=without,
-            limit=0.3,
-        )
+    jobs: Any = [(1, 2), (3,)]
+    assert list(
+        run_jobs(yield_then_stay, jobs, workers=1, remaining=without, limit=0.3)
+    ) == [((1, 2), 1), ((2,), 2), ((3,), 3)]
+    first, *_, last = run_jobs(
+        yield_then_stay, jobs[:1], workers=2, limit=0.3, lost=lambda lost: lost
     )
-    assert events == [Sent((1, 2), 1), Sent((2,), 2), Sent((3,), 3)]
-    (first, *_, last) = JobProcesses(
-        send_then_stay, [(1, 2)], workers=2, limit=0.3
-    )
-    assert first == Sent((1, 2), 1)
-    assert last == Overran((1, 2), 0.3)
+    assert first == ((1, 2), 1)
+    assert last[1] == Lost((1, 2), "overran", "it takes longer than 0.3 s")
 
 
 SCRIPT = """
 import os
 from tests.test_processes import count_up
-from xray_drake.processes import JobProcesses
-print([event.value for event in JobProcesses(count_up, [2], workers=1)])
+from xray_drake.processes import run_jobs
+print([value for _, value in run_jobs(count_up, [2], workers=1)])
 print(os.environ.get("OMP_NUM_THREADS"))
 """
 
@@ -159,58 +173,35 @@ def test_a_script_needs_no_guard_and_keeps_its_threads(tmp_path: Path) -> None:
     assert made.stdout == "[0, 1]\nNone\n", made.stderr
 
 
-def without(job: tuple[int, ...], value: int) -> tuple[int, ...] | None:
-    return tuple(v for v in job if v != value) or None
-
-
-def test_what_was_sent_is_not_done_again() -> None:
-    processes = JobProcesses(
-        die_at_two, [(1, 2, 3)], workers=1, remaining=without
-    )
-    events = []
-    for event in processes:
-        events.append(event)
-        if isinstance(event, Died) and not event.again:
-            processes.add(event.job[1:])
-    killed = -signal.SIGKILL
-    assert events == [
-        Sent((1, 2, 3), 1),
-        Died((2, 3), killed, 1, again=True),
-        Died((2, 3), killed, ATTEMPTS, again=False),
-        Sent((3,), 3),
-    ]
-
-
-def send_then_die(job: tuple[int, ...], send: Send) -> None:
-    for value in job:
-        send(value)
+def yield_then_die(job: tuple[int, ...]) -> Iterator[int]:
+    yield from job
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_process_that_dies_with_nothing_left_to_do_is_done() -> None:
-    processes = JobProcesses(
-        send_then_die, [(1, 2)], workers=1, remaining=without
-    )
-    assert list(processes) == [Sent((1, 2), 1), Sent((2,), 2)]
+    found = run_jobs(yield_then_die, [(1, 2)], workers=1, remaining=without)
+    assert list(found) == [((1, 2), 1), ((2,), 2)]
 
 
-def send_pid_and_much(job: int, send: Callable[[int | bytes], None]) -> None:
-    send(os.getpid())
-    send(bytes(job))
+def yield_pid_and_much(job: int) -> Iterator[int | bytes]:
+    yield os.getpid()
+    yield bytes(job)
 
 
 def test_a_process_killed_in_the_middle_of_a_message_died() -> None:
     """A message longer than a pipe holds waits for whom it is sent to."""
-    events = []
-    for event in JobProcesses(send_pid_and_much, [10_000_000], workers=1):
-        events.append(type(event))
-        if isinstance(event, Sent):
+    found = []
+    for _, value in run_jobs(
+        yield_pid_and_much, [10_000_000], workers=1, lost=lambda lost: lost
+    ):
+        found.append(type(value))
+        if isinstance(value, int):
             time.sleep(0.2)
-            os.kill(event.value, signal.SIGKILL)
-    assert events == [Sent, Died] * ATTEMPTS
+            os.kill(value, signal.SIGKILL)
+    assert found == [*[int] * ATTEMPTS, Lost]
 
 
-def fail(job: str, send: Send) -> None:
+def fail(job: str) -> None:
     # Imported here: other jobs need not wait for it.
     from pydrake.multibody.plant import MultibodyPlant
 
@@ -228,6 +219,7 @@ def fail(job: str, send: Send) -> None:
         MultibodyPlant(time_step=0.0).GetBodyByName("x")
 
 
+@pytest.mark.parametrize("workers", [0, 1])
 @pytest.mark.parametrize(
     ("job", "reason", "traceback"),
     [
@@ -239,31 +231,29 @@ def fail(job: str, send: Send) -> None:
     ],
 )
 def test_an_exception_is_one_line_and_a_fault_keeps_its_traceback(
-    job: str, reason: str, traceback: str
+    job: str, reason: str, traceback: str, workers: int
 ) -> None:
     """So a fault of NumPy's or Drake's is told from a message for the user."""
-    (event,) = JobProcesses(fail, [job], workers=1)
-    assert isinstance(event, Failed)
-    assert event.reason.startswith(reason)
-    assert "\n" not in event.reason
-    assert traceback in event.traceback
-    assert bool(event.traceback) == bool(traceback)
-    notes = getattr(event.error("it failed"), "__notes__", [])
-    assert notes == [event.traceback] * bool(traceback)
+    with pytest.raises(JobError) as caught:
+        list(run_jobs(fail, [job], workers=workers))
+    assert str(caught.value).startswith(f"{job}: {reason}")
+    assert "\n" not in str(caught.value)
+    notes = getattr(caught.value, "__notes__", [])
+    assert [traceback in note for note in notes] == [True] * bool(traceback)
 
 
-def send_what_cannot_be(job: int, send: Callable) -> None:
-    send(lambda: job)
+def return_what_cannot_be_sent(job: int) -> object:
+    return lambda: job
 
 
 def test_a_value_that_cannot_be_sent_is_told() -> None:
-    (event,) = JobProcesses(send_what_cannot_be, [1], workers=1)
-    assert isinstance(event, Failed)
-    assert send_what_cannot_be.__name__ in event.reason
+    name = return_what_cannot_be_sent.__name__
+    with pytest.raises(JobError, match=name):
+        list(run_jobs(return_what_cannot_be_sent, [1], workers=1))
 
 
-def send_pid_and_stay(job: int, send: Send) -> None:
-    send(os.getpid())
+def yield_pid_and_stay(job: int) -> Iterator[int]:
+    yield os.getpid()
     time.sleep(600)
 
 
@@ -275,22 +265,32 @@ def gone(pid: int) -> bool:
     return False
 
 
-def test_who_stops_listening_stops_the_processes() -> None:
-    events = iter(JobProcesses(send_pid_and_stay, [1, 2], workers=2))
-    pids = [next(events).value, next(events).value]
+@pytest.mark.parametrize("how", ["close", "lost"])
+def test_who_stops_listening_stops_the_processes(how: str) -> None:
+    """By the end of the iteration, or by an error over a lost job."""
+    found: Any = run_jobs(yield_pid_and_stay, [1, 2], workers=2)
+    pids = [next(found)[1], next(found)[1]]
     assert not any(map(gone, pids))
-    events.close()
+    if how == "close":
+        found.close()
+    else:
+        for _ in range(ATTEMPTS - 1):
+            os.kill(pids[0], signal.SIGKILL)
+            pids[0] = next(found)[1]
+        os.kill(pids[0], signal.SIGKILL)
+        with pytest.raises(JobError):
+            next(found)
     assert all(map(gone, pids))
 
 
 INTERRUPTED = """
 import signal
-from tests.test_processes import send_pid_and_stay
-from xray_drake.processes import JobProcesses
+from tests.test_processes import yield_pid_and_stay
+from xray_drake.processes import run_jobs
 # A shell's background job ignores it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-for event in JobProcesses(send_pid_and_stay, [1, 2, 3], workers=2):
-    print(event.value, flush=True)
+for _, pid in run_jobs(yield_pid_and_stay, [1, 2, 3], workers=2):
+    print(pid, flush=True)
 """
 
 

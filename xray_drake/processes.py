@@ -1,4 +1,4 @@
-"""Runs jobs, each in a process of its own, and tells what comes of them.
+"""Runs jobs, each in a process of its own, and yields what comes of them.
 
 A process ends with its job, so that memory does not grow from job to job.
 """
@@ -11,13 +11,13 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from types import ModuleType
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from xray_drake.faults import is_fault, one_line
 from xray_drake.threads import one_thread_inherited
@@ -29,92 +29,102 @@ _LONGEST_TMPDIR = 70
 """Bytes; the names of a socket and of its folder follow."""
 
 Job = TypeVar("Job")
-Value = TypeVar("Value")
 
 
 class JobError(RuntimeError):
-    """What a job raised; its note is the traceback, where that is a fault's."""
+    """A job that was not done; its note is the traceback of a fault."""
 
 
 @dataclass(frozen=True)
-class Sent(Generic[Job, Value]):
-    """A job sent a value.
+class Lost(Generic[Job]):
+    """A job that was not done and is not tried again.
 
     Attributes:
-        job: as it was then, see ``remaining`` of :class:`JobProcesses`.
-        value: what it sent.
-    """
-
-    job: Job
-    value: Value
-
-
-@dataclass(frozen=True)
-class Failed(Generic[Job]):
-    """A job raised an exception; it is not tried again.
-
-    Attributes:
-        job: which.
+        job: what was not done of it.
+        cause: "failed": it raised an exception; "died": its process ended
+            before it did; "overran": it took longer than its limit.
         reason: one line; the exception's message, after its kind where it is
             a fault of the program, see :func:`~xray_drake.faults.is_fault`.
         traceback: of a fault; empty where the message says it all.
+        status: of a process that died; the negative number of a signal.
     """
 
     job: Job
+    cause: Literal["failed", "died", "overran"]
     reason: str
     traceback: str = ""
+    status: int | None = None
 
-    def error(self, message: str) -> JobError:
-        """Returns an error to raise."""
-        error = JobError(message)
+    def error(self, name: str, advice: str = "") -> JobError:
+        """Returns an error to raise.
+
+        Args:
+            name: of the job.
+            advice: what to do.
+        """
+        error = JobError(f"{name}: {self.reason}{advice and '; ' + advice}")
         if self.traceback:
             error.add_note(self.traceback)
         return error
 
 
-@dataclass(frozen=True)
-class Died(Generic[Job]):
-    """The process of a job ended before the job did.
+def run_jobs(
+    work: Callable[[Job], Any],
+    jobs: Iterable[Job],
+    *,
+    workers: int,
+    preload: Sequence[str] = (),
+    name: Callable[[Job], str] = str,
+    advice: str = "",
+    lost: Callable[[Lost[Job]], Any] | None = None,
+    remaining: Callable[[Job, Any], Job | None] | None = None,
+    limit: float | None = None,
+) -> Iterator[tuple[Job, Any]]:
+    """Runs jobs over processes of one thread each; yields jobs and values.
 
-    Attributes:
-        job: what was not done of it.
-        status: of the process; the negative number of a signal.
-        attempts: so many processes died over it.
-        again: it is tried again.
+    Ctrl-C, an exception or the end of the iteration stops all processes. A job
+    whose process dies is tried again, :data:`ATTEMPTS` times in all.
+
+    The program's main module is not imported by them: a script needs no
+    ``if __name__ == "__main__"``, and nothing of what travels to them may be
+    defined in it.
+
+    Args:
+        work: does a job: returns a value, or is a generator of several. A
+            function of a module's top level, or a partial of one; what it is
+            given and what it returns is pickled.
+        jobs: in the order in which they are begun.
+        workers: processes at a time; 0 runs the jobs in this process, as does
+            a process that may have no others (a daemonic one).
+        preload: modules imported once for all processes, by their names. All
+            of one program share what the first asked for.
+        name: of a job, for messages.
+        advice: what to do where a job is lost, for messages.
+        lost: returns a value in place of a job that was not done, or raises;
+            by default a :class:`JobError` is raised.
+        remaining: what is left of a job after a value: from there it is tried
+            again, as often as a new one. ``None`` where nothing is left. By
+            default the whole job is, whatever it yielded.
+        limit: s that a job may take to each value, and to its end; ``None``
+            for no limit. It does not hold in this process.
+
+    Yields:
+        A job, as it was then (see ``remaining``), and a value of it.
+
+    Raises:
+        JobError: a job was not done; the message names it.
     """
-
-    job: Job
-    status: int | None
-    attempts: int
-    again: bool
-
-    @property
-    def reason(self) -> str:
-        """How, in words that follow "its process"."""
-        if self.status is None or self.status >= 0:
-            text = f"ended with status {self.status}"
-        else:
-            try:
-                name = signal.Signals(-self.status).name
-            except ValueError:
-                name = f"signal {-self.status}"
-            text = f"was killed by {name}"
-            if name == "SIGKILL":
-                text += ", perhaps since memory ran out"
-        return f"{text} ({self.attempts} times)" if self.attempts > 1 else text
-
-
-@dataclass(frozen=True)
-class Overran(Generic[Job]):
-    """A job took too long; it was stopped, and is not tried again.
-
-    Attributes:
-        job: what was not done of it.
-        limit: s.
-    """
-
-    job: Job
-    limit: float
+    pool = _Pool(work, jobs, workers, preload, remaining, limit)
+    with closing(pool.events()) as events:
+        for job, value in events:
+            if not isinstance(value, Lost):
+                yield job, value
+                continue
+            if lost is None:
+                raise value.error(name(job), advice)
+            answer = lost(value)
+            yield job, answer
+            pool.go_on(job, answer)
 
 
 @dataclass
@@ -134,40 +144,17 @@ class _Running(Generic[Job]):
     deadline: float = float("inf")
 
 
-class JobProcesses(Generic[Job, Value]):
-    """Runs jobs over processes of one thread each; an iterator of events.
-
-    Iterate over it once. Ctrl-C, an exception or the end of the iteration
-    stops all processes.
-
-    The program's main module is not imported by them: a script needs no
-    ``if __name__ == "__main__"``, and nothing of what travels to them may be
-    defined in it.
-
-    Args:
-        work: ``work(job, send)`` does a job in a process, and sends what comes
-            of it. A function of a module's top level, or a partial of one;
-            what it is given and what it sends is pickled.
-        jobs: in the order in which they are begun.
-        workers: processes at a time.
-        preload: modules imported once for all processes, by their names. All
-            of one program share what the first asked for.
-        remaining: what is left of a job after a value: from there it is tried
-            again, as often as a new one. ``None`` where nothing is left. By
-            default the whole job is, whatever it sent.
-        limit: s that a job may take to each value, and to its end; ``None``
-            for no limit.
-    """
+class _Pool(Generic[Job]):
+    """The processes of :func:`run_jobs`; arguments as there."""
 
     def __init__(
         self,
-        work: Callable[[Job, Callable[[Value], None]], None],
+        work: Callable[[Job], Any],
         jobs: Iterable[Job],
-        *,
         workers: int,
-        preload: Sequence[str] = (),
-        remaining: Callable[[Job, Value], Job | None] | None = None,
-        limit: float | None = None,
+        preload: Sequence[str],
+        remaining: Callable[[Job, Any], Job | None] | None,
+        limit: float | None,
     ) -> None:
         self._work = work
         self._waiting = [(job, 1) for job in jobs][::-1]
@@ -175,35 +162,50 @@ class JobProcesses(Generic[Job, Value]):
         self._preload = list(preload)
         self._remaining = remaining
         self._limit = float("inf") if limit is None else limit
+        self._running: dict[Connection, _Running[Job]] = {}
 
-    def add(self, job: Job) -> None:
-        """Adds a job while others run; it comes next."""
-        self._waiting.append((job, 1))
+    def go_on(self, job: Job, value: Any) -> None:
+        """Puts what is left of a job after a value first in the queue."""
+        left = self._remaining(job, value) if self._remaining else None
+        if left is not None:
+            self._waiting.append((left, 1))
 
-    def __iter__(
-        self,
-    ) -> Iterator[Sent[Job, Value] | Failed[Job] | Died[Job] | Overran[Job]]:
-        running: dict[Connection, _Running[Job]] = {}
-        with ExitStack() as stack:
-            stack.callback(_stop, running)
-            while self._waiting or running:
-                while self._waiting and len(running) < self._workers:
-                    job, attempt = self._waiting.pop()
-                    receiver, process = self._start(job)
-                    running[receiver] = _Running(process, job, attempt)
-                first = min(one.deadline for one in running.values())
+    def events(self) -> Generator[tuple[Job, Any], None, None]:
+        """Yields jobs and what comes of them; stops the processes at last."""
+        if not self._workers or multiprocessing.current_process().daemon:
+            yield from self._here()
+            return
+        try:
+            while self._waiting or self._running:
+                while self._waiting and len(self._running) < self._workers:
+                    self._start(*self._waiting.pop())
+                first = min(one.deadline for one in self._running.values())
                 patience = max(0.0, first - time.monotonic())
                 ready = wait(
-                    list(running),
+                    list(self._running),
                     None if patience == float("inf") else patience,
                 )
                 if not ready:
-                    yield from self._stop_overdue(running)
+                    yield from self._stop_overdue()
                 for connection in ready:
                     assert isinstance(connection, Connection)
-                    yield from self._hear(running, connection)
+                    yield from self._hear(connection)
+        finally:
+            for one in self._running.values():
+                one.process.terminate()
+            for one in self._running.values():
+                one.process.join()
 
-    def _start(self, job: Job) -> tuple[Connection, BaseProcess]:
+    def _here(self) -> Iterator[tuple[Job, Any]]:
+        while self._waiting:
+            job, _ = self._waiting.pop()
+            try:
+                for value in _values(self._work, job):
+                    yield job, value
+            except (Exception, SystemExit) as error:
+                yield job, Lost(job, "failed", *_told(error))
+
+    def _start(self, job: Job, attempt: int) -> None:
         context = multiprocessing.get_context("forkserver")
         # Forked from a server that has imported everything, a process starts
         # at once; one that is spawned takes seconds.
@@ -215,56 +217,78 @@ class JobProcesses(Generic[Job, Value]):
         with _without_main(), _short_paths(), one_thread_inherited():
             process.start()
         sender.close()
-        return receiver, process
+        self._running[receiver] = _Running(process, job, attempt)
 
-    def _hear(
-        self, running: dict[Connection, _Running[Job]], connection: Connection
-    ) -> Iterator[Sent[Job, Value] | Failed[Job] | Died[Job]]:
+    def _hear(self, connection: Connection) -> Iterator[tuple[Job, Any]]:
         """Takes one message of a process, or its end."""
-        one = running[connection]
+        one = self._running[connection]
         kind, value = _receive(connection)
         one.deadline = time.monotonic() + self._limit
         if kind == "begun":
             return
         if kind == "sent":
             assert one.job is not None
-            yield Sent(one.job, value)
+            yield one.job, value
             if self._remaining is not None:
                 one.job = self._remaining(one.job, value)
                 one.attempt = 1
             return
-        del running[connection]
+        del self._running[connection]
         connection.close()
         one.process.join()
         if one.job is None or kind == "done":
             return
         if kind == "failed":
-            yield Failed(one.job, *value)
-            return
-        again = one.attempt < ATTEMPTS
-        if again:
+            yield one.job, Lost(one.job, "failed", *value)
+        elif one.attempt < ATTEMPTS:
             self._waiting.append((one.job, one.attempt + 1))
-        yield Died(one.job, one.process.exitcode, one.attempt, again)
+        else:
+            status = one.process.exitcode
+            reason = f"its process {how_it_died(status)} ({ATTEMPTS} times)"
+            yield one.job, Lost(one.job, "died", reason, status=status)
 
-    def _stop_overdue(
-        self, running: dict[Connection, _Running[Job]]
-    ) -> Iterator[Overran[Job]]:
+    def _stop_overdue(self) -> Iterator[tuple[Job, Lost[Job]]]:
         now = time.monotonic()
-        for connection, one in list(running.items()):
+        for connection, one in list(self._running.items()):
             if one.deadline > now:
                 continue
-            del running[connection]
+            del self._running[connection]
             # Not to be refused, as native code may refuse SIGTERM.
             one.process.kill()
             one.process.join()
             connection.close()
             if one.job is not None:
-                yield Overran(one.job, self._limit)
+                reason = f"it takes longer than {self._limit:g} s"
+                yield one.job, Lost(one.job, "overran", reason)
 
 
-def can_start_processes() -> bool:
-    """Says whether this process may have others; a daemonic one may not."""
-    return not multiprocessing.current_process().daemon
+def how_it_died(status: int | None) -> str:
+    """Says how a process ended, in words that follow "its process".
+
+    Args:
+        status: of the process; the negative number of a signal.
+    """
+    if status is None or status >= 0:
+        return f"ended with status {status}"
+    try:
+        signal_name = signal.Signals(-status).name
+    except ValueError:
+        signal_name = f"signal {-status}"
+    memory = ", perhaps since memory ran out" * (signal_name == "SIGKILL")
+    return f"was killed by {signal_name}{memory}"
+
+
+def _values(work: Callable[[Job], Any], job: Job) -> Iterator[Any]:
+    found = work(job)
+    if isinstance(found, Iterator):
+        yield from found
+    else:
+        yield found
+
+
+def _told(error: BaseException) -> tuple[str, str]:
+    """Returns an error in one line, and the traceback of a fault."""
+    return one_line(error), traceback.format_exc() if is_fault(error) else ""
 
 
 def _receive(connection: Connection) -> tuple[str, Any]:
@@ -280,12 +304,12 @@ def _run(work: Callable, job: object, sender: Connection) -> None:
     gc.freeze()
     try:
         sender.send(("begun", None))
-        work(job, lambda value: sender.send(("sent", value)))
+        for value in _values(work, job):
+            sender.send(("sent", value))
     except KeyboardInterrupt:
         return
     except (Exception, SystemExit) as error:  # the latter is Drake's
-        trace = traceback.format_exc() if is_fault(error) else ""
-        sender.send(("failed", (one_line(error), trace)))
+        sender.send(("failed", _told(error)))
     else:
         sender.send(("done", None))
 
@@ -317,10 +341,3 @@ def _short_paths() -> Iterator[None]:
         yield
     finally:
         tempfile.tempdir = before
-
-
-def _stop(running: dict[Connection, _Running]) -> None:
-    for one in running.values():
-        one.process.terminate()
-    for one in running.values():
-        one.process.join()

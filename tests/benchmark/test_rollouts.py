@@ -2,7 +2,7 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -281,18 +281,18 @@ def test_an_interrupted_search_is_no_record(
         list(run_job(Job(dump_scenario(tiny()), 5, VARIANTS)))
 
 
-def dies_over_random(job: Job, send: Callable[[dict], None]) -> None:
+def dies_over_random(job: Job) -> Iterator[dict]:
     """A worker that is killed when it comes to the policy "random"."""
     for variant in job.variants:
         if variant.policy == "random":
             os.kill(os.getpid(), signal.SIGKILL)
-        send(record(variant.policy, job.seed))
+        yield record(variant.policy, job.seed)
 
 
 def test_a_worker_that_dies_costs_one_rollout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rollouts, "_send_records", dies_over_random)
+    monkeypatch.setattr(rollouts, "run_job", dies_over_random)
     wanted = variants(("largest", "random", "xray"), ("exact",))
     records = run(tmp_path, variants=wanted)
     assert keys(records) == keys(read_rollouts(tmp_path))
@@ -309,14 +309,14 @@ def test_a_worker_that_dies_costs_one_rollout(
             assert item["end"] == "success"
 
 
-def fails(job: Job, send: Callable[[dict], None]) -> None:
+def fails(job: Job) -> None:
     np.zeros(3) + np.zeros(4)
 
 
 def test_a_fault_of_the_program_ends_the_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rollouts, "_send_records", fails)
+    monkeypatch.setattr(rollouts, "run_job", fails)
     with pytest.raises(RuntimeError, match="seed 5: ValueError: op") as caught:
         run(tmp_path)
     (note,) = caught.value.__notes__

@@ -13,7 +13,7 @@ from xray_drake import __version__
 from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.cli.main import app, errors_as_lines
 from xray_drake.policy.registry import POLICIES
-from xray_drake.processes import Failed
+from xray_drake.processes import Lost
 from xray_drake.scene.heap import HeapError
 from xray_drake.station.scenario import ScenarioError
 
@@ -146,7 +146,7 @@ def test_the_traceback_of_a_bug_in_a_process_is_shown(
     capsys: pytest.CaptureFixture,
 ) -> None:
     with pytest.raises(typer.Exit), errors_as_lines():
-        raise Failed("job", "KeyError: 1", "traceback").error("KeyError: 1")
+        raise Lost(1, "failed", "KeyError: 1", "traceback").error("heap 1")
     *traceback, last = capsys.readouterr().err.splitlines()
     assert traceback == ["traceback"]
     assert last.endswith("KeyError: 1")

@@ -2,6 +2,7 @@ import dataclasses
 import os
 import shutil
 import signal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from xray_drake.dataset.check import CheckReport, check_dataset
 from xray_drake.dataset.manifest import (
     DatasetError,
     ExpectedShard,
+    Manifest,
     write_manifest,
 )
 
@@ -74,17 +76,21 @@ def test_several_processes_find_the_same(own_dataset: Any) -> None:
     assert not together.sound
 
 
-class DyingJob(check._Job):
-    def __call__(self, expected: ExpectedShard) -> check._ShardResult:
-        if expected.name == "train-00001.h5":
-            os.kill(os.getpid(), signal.SIGSEGV)
-        return super().__call__(expected)
+check_shard = check._check_shard
+
+
+def dying_check(
+    folder: Path, manifest: Manifest, deep: bool, expected: ExpectedShard
+) -> check._ShardResult:
+    if expected.name == "train-00001.h5":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return check_shard(folder, manifest, deep, expected)
 
 
 def test_a_shard_whose_check_crashes_is_a_defect(
     own_dataset: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(check, "_Job", DyingJob)
+    monkeypatch.setattr(check, "_check_shard", dying_check)
     report = check_dataset(own_dataset.folder, workers=2)
     (line,) = _lines(report)
     assert line.startswith("train-00001.h5: its process was killed by SIGSEGV")

@@ -107,7 +107,7 @@ def test_a_killed_process_is_tried_again_then_named(
     """A shard whose process dies is made by another, once."""
     manifest = small(1)
     missing = open_dataset(tmp_path, manifest, resume=False)
-    monkeypatch.setattr(engine, "_make", _die)
+    monkeypatch.setattr(engine, "make_shard", _die)
     with pytest.raises(
         RuntimeError,
         match=r"train-00000.h5: its process .* SIGKILL.* \(2 times",

@@ -98,9 +98,8 @@ def test_a_heap_gives_the_same_samples_wherever_it_is_made() -> None:
 def test_a_shard_ends_where_it_should_and_reports(tmp_path) -> None:
     manifest = plan(splits={"validation": 3})
     write_manifest(tmp_path, manifest)
-    seen: list[int] = []
     (shard,) = manifest.expected_shards()
-    report = make_shard(tmp_path, manifest, shard, progress=seen.append)
+    *seen, report = make_shard(tmp_path, manifest, shard)
     assert (report.samples, report.heaps) == (3, 2)
     assert seen == [2, 3]
     assert set(report.seconds) == {"heap", "pictures", "label", "disk"}

@@ -5,6 +5,7 @@ import re
 import signal
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -327,7 +328,8 @@ def test_what_is_not_used_is_named(folder, caplog):
 
 def test_a_daemonic_process_imports_too(folder, monkeypatch):
     """It may not have children: those of gymnasium's vector environments."""
-    monkeypatch.setattr(importer, "can_start_processes", lambda: False)
+    process = SimpleNamespace(daemon=True)
+    monkeypatch.setattr("multiprocessing.current_process", lambda: process)
     assert len(load_meshes(folder)) == 3
 
 
@@ -410,7 +412,7 @@ def test_the_second_time_comes_from_the_cache(folder, cache, monkeypatch):
         assert not files, "prepared again"
         return []
 
-    monkeypatch.setattr(importer, "JobProcesses", fail)
+    monkeypatch.setattr(importer, "run_jobs", fail)
     (folder / "bench.obj").rename(folder / "stool.obj")
     second = import_meshes(folder)
     assert second.from_cache == 3

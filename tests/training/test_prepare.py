@@ -2,7 +2,6 @@ import dataclasses
 import os
 import shutil
 import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,6 @@ from xray_drake.occupancy.learned.inputs import (
     geometry_input,
     size_features,
 )
-from xray_drake.processes import Sent
 from xray_drake.training import prepare as module
 from xray_drake.training.data import PreparedItems
 from xray_drake.training.items import Item
@@ -93,14 +91,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(shard.name)
         prepare_shard(shard, *arguments)
 
-    def here(work: Callable, jobs: list, **_: Any) -> Iterator[Sent]:
-        for job in jobs:
-            values: list = []
-            work(job, values.append)
-            yield from (Sent(job, value) for value in values)
-
     monkeypatch.setattr(module, "prepare_shard", counted)
-    monkeypatch.setattr(module, "JobProcesses", here)
     return names
 
 
@@ -108,7 +99,7 @@ def _prepare(
     dataset: Path, folder: Path, config: PrepareConfig = EXACT
 ) -> list[Path]:
     jobs = plan([dataset], folder, config, SHARE)
-    told = list(prepare(jobs, config, SHARE))
+    told = list(prepare(jobs, config, SHARE, workers=0))
     assert told[-1] == len(jobs)
     assert told == sorted(told)
     return [path for _, path in jobs]
@@ -143,12 +134,12 @@ def test_what_was_begun_is_gone_on_with(
     dataset: Path, tmp_path: Path, made: list[str]
 ) -> None:
     jobs = plan([dataset], tmp_path, EXACT, SHARE)
-    steps = prepare(jobs, EXACT, SHARE)
+    steps = prepare(jobs, EXACT, SHARE, workers=0)
     assert [next(steps), next(steps)] == [0, 1]
     steps.close()
     done = sum(path.is_file() for _, path in jobs)
     made.clear()
-    assert next(prepare(jobs, EXACT, SHARE)) == done >= 1
+    assert next(prepare(jobs, EXACT, SHARE, workers=0)) == done >= 1
     _prepare(dataset, tmp_path)
     assert len(made) == 3 - done
 
@@ -490,7 +481,7 @@ def test_a_damaged_shard_is_named_and_leaves_nothing(
     bad.write_bytes(whole)
     jobs = plan([folder], cache, EXACT, SHARE)
     with pytest.raises(ShardError, match=r"train-00001\.h5 is damaged"):
-        list(prepare(jobs, EXACT, SHARE))
+        list(prepare(jobs, EXACT, SHARE, workers=0))
     left = [path for path in cache.iterdir() if "00001" in path.name]
     assert left == []
 

@@ -3,7 +3,7 @@
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from xray_drake.files import (
     write_whole_file,
 )
 from xray_drake.policy.registry import POLICIES, Policy, for_workers
-from xray_drake.processes import Died, Failed, JobProcesses, Sent
+from xray_drake.processes import Lost, run_jobs
 from xray_drake.provenance import (
     Provenance,
     Run,
@@ -218,34 +218,28 @@ def _run_jobs(jobs: Sequence[Job], workers: int) -> Iterator[Record]:
     With Drake before 1.58 each rollout leaves some 45 MB behind: diagrams with
     systems in Python are never freed there.
     """
-    processes = JobProcesses(
-        _send_records,
+    for _, record in run_jobs(
+        run_job,
         jobs,
         workers=workers,
         preload=["xray_drake.search.rollout"],
+        lost=_lost,
         remaining=_remaining,
+    ):
+        yield record
+
+
+def _lost(lost: Lost[Job]) -> Record:
+    """Returns the record of a rollout whose process died."""
+    job = lost.job
+    if lost.cause != "died":
+        raise lost.error(f"heap of seed {job.seed}")
+    return _failure(
+        parse_scenario(job.scenario, "benchmark"),
+        job.variants[0],
+        lost.reason,
+        seed=job.seed,
     )
-    for event in processes:
-        match event:
-            case Sent(value=record):
-                yield record
-            case Failed(job=job) as failed:
-                raise failed.error(f"heap of seed {job.seed}: {failed.reason}")
-            case Died(job=job, again=False) as died:
-                first, *others = job.variants
-                yield _failure(
-                    parse_scenario(job.scenario, "benchmark"),
-                    first,
-                    f"its process {died.reason}",
-                    seed=job.seed,
-                )
-                if others:
-                    processes.add(replace(job, variants=tuple(others)))
-
-
-def _send_records(job: Job, send: Callable[[Record], None]) -> None:
-    for record in run_job(job):
-        send(record)
 
 
 def _remaining(job: Job, record: Record) -> Job | None:

@@ -42,7 +42,7 @@ def errors_as_lines() -> Iterator[None]:
         if is_fault(error):
             traceback.print_exception(error)
             raise complain(one_line(error), FAILED) from error
-        # Those of the fault of a process, see ``processes.Failed``.
+        # Those of the fault of a process, see ``processes.Lost``.
         for note in getattr(error, "__notes__", ()):
             typer.echo(note, err=True)
         bad = isinstance(error, ValueError)

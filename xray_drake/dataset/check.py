@@ -2,8 +2,9 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from xray_drake.dataset.shards import (
     shard_problems,
     verify_shard,
 )
-from xray_drake.processes import Died, Failed, JobProcesses, Sent
+from xray_drake.processes import Lost, run_jobs
 
 FULLY_VISIBLE = 0.99
 """Visible fraction from which a target counts as fully visible."""
@@ -196,12 +197,20 @@ def check_dataset(
     manifest = read_manifest(folder)
     expected = manifest.expected_shards()
     defects = list(_unexpected(folder, {shard.name for shard in expected}))
-    results: list[_ShardResult] = []
-    job = _Job(folder, manifest, deep)
-    for result in _run(job, expected, workers):
-        results.append(result)
+    found: dict[ExpectedShard, _ShardResult] = {}
+    for shard, result in run_jobs(
+        partial(_check_shard, folder, manifest, deep),
+        expected,
+        # One process more would be slower than this one.
+        workers=workers if workers > 1 else 0,
+        preload=["xray_drake.dataset.check"],
+        name=lambda shard: shard.name,
+        lost=_lost,
+    ):
+        found[shard] = result
         if progress is not None:
-            progress(len(results), len(expected))
+            progress(len(found), len(expected))
+    results = [found[shard] for shard in expected]
     defects += [defect for result in results for defect in result.defects]
     defects += _duplicates(expected, results)
     defects += _shared_objects(expected, results)
@@ -217,35 +226,12 @@ def check_dataset(
     )
 
 
-def _run(
-    job: "_Job", expected: Sequence[ExpectedShard], workers: int
-) -> Iterator["_ShardResult"]:
-    """Yields what each shard gave, in their order."""
-    if workers <= 1:
-        yield from map(job, expected)
-        return
-    results: dict[ExpectedShard, _ShardResult] = {}
-    events = JobProcesses(
-        job.send,
-        expected,
-        workers=workers,
-        preload=["xray_drake.dataset.check"],
-    )
-    waiting = iter(expected)
-    first = next(waiting, None)
-    for event in events:
-        shard = event.job
-        match event:
-            case Sent(value=result):
-                results[shard] = result
-            case Failed() as failed:
-                raise failed.error(f"{shard.name}: {failed.reason}")
-            case Died(again=False) as died:
-                defect = Defect(shard.name, f"its process {died.reason}")
-                results[shard] = _ShardResult(defects=[defect])
-        while first in results:
-            yield results.pop(first)
-            first = next(waiting, None)
+def _lost(lost: Lost[ExpectedShard]) -> "_ShardResult":
+    """Returns what is told of a shard whose process died."""
+    name = lost.job.name
+    if lost.cause != "died":
+        raise lost.error(name)
+    return _ShardResult(defects=[Defect(name, lost.reason)])
 
 
 def _unexpected(folder: Path, names: set[str]) -> Iterator[Defect]:
@@ -254,68 +240,60 @@ def _unexpected(folder: Path, names: set[str]) -> Iterator[Defect]:
             yield Defect(path.name, f"{MANIFEST_NAME} knows no such shard")
 
 
-@dataclass(frozen=True)
-class _Job:
-    """Checks one shard; travels to worker processes."""
+def _check_shard(
+    folder: Path, manifest: Manifest, deep: bool, expected: ExpectedShard
+) -> _ShardResult:
+    path = folder / expected.name
+    result = _ShardResult()
+    try:
+        result.num_bytes = path.stat().st_size
+        if deep:
+            verify_shard(path)
+        with ShardReader(path) as shard:
+            _look(shard, manifest, deep, expected, result)
+    except FileNotFoundError:
+        result.defects.append(Defect(expected.name, "missing"))
+    except ShardError as error:
+        problem = str(error).removeprefix(f"{path} is ")
+        result.defects.append(Defect(expected.name, problem))
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror or error}"
+        result.defects.append(Defect(expected.name, problem))
+    return result
 
-    folder: Path
-    manifest: Manifest
-    deep: bool
 
-    def __call__(self, expected: ExpectedShard) -> _ShardResult:
-        path = self.folder / expected.name
-        result = _ShardResult()
+def _look(
+    shard: ShardReader,
+    manifest: Manifest,
+    deep: bool,
+    expected: ExpectedShard,
+    result: _ShardResult,
+) -> None:
+    name = expected.name
+    for problem in shard_problems(shard, manifest, expected):
+        result.defects.append(Defect(name, problem))
+    attributes = shard.attributes
+    result.versions = attributes.package_version, attributes.drake_version
+    result.keys, result.objects = list(shard.keys), shard.object_names()
+    if not deep:
+        return
+    for index, key in enumerate(shard.keys):
         try:
-            result.num_bytes = path.stat().st_size
-            if self.deep:
-                verify_shard(path)
-            with ShardReader(path) as shard:
-                self._look(shard, expected, result)
-        except FileNotFoundError:
-            result.defects.append(Defect(expected.name, "missing"))
-        except ShardError as error:
-            problem = str(error).removeprefix(f"{path} is ")
-            result.defects.append(Defect(expected.name, problem))
-        except OSError as error:
-            problem = f"cannot be read: {error.strerror or error}"
-            result.defects.append(Defect(expected.name, problem))
-        return result
-
-    def send(
-        self, expected: ExpectedShard, send: Callable[[_ShardResult], None]
-    ) -> None:
-        """Checks one shard in a process of its own."""
-        send(self(expected))
-
-    def _look(
-        self, shard: ShardReader, expected: ExpectedShard, result: _ShardResult
-    ) -> None:
-        name = expected.name
-        for problem in shard_problems(shard, self.manifest, expected):
-            result.defects.append(Defect(name, problem))
-        attributes = shard.attributes
-        result.versions = attributes.package_version, attributes.drake_version
-        objects = shard.object_names()
-        result.keys, result.objects = list(shard.keys), objects
-        if not self.deep:
-            return
-        for index, key in enumerate(shard.keys):
-            try:
-                sample = shard.sample(index)
-            except ShardError:
-                raise
-            except ValueError as error:
-                lines = [str(error)]
-            else:
-                lines = problems(sample)
-                if key.target_name not in self.manifest.targets:
-                    lines.append(
-                        f"{MANIFEST_NAME} knows no target {key.target_name!r}"
-                    )
-                result.samples.append(_statistics(sample, expected.split))
-            result.defects += [
-                Defect(name, line, index, str(key)) for line in lines
-            ]
+            sample = shard.sample(index)
+        except ShardError:
+            raise
+        except ValueError as error:
+            lines = [str(error)]
+        else:
+            lines = problems(sample)
+            if key.target_name not in manifest.targets:
+                lines.append(
+                    f"{MANIFEST_NAME} knows no target {key.target_name!r}"
+                )
+            result.samples.append(_statistics(sample, expected.split))
+        result.defects += [
+            Defect(name, line, index, str(key)) for line in lines
+        ]
 
 
 def _statistics(sample: Sample, split: str) -> SampleStatistics:

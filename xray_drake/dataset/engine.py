@@ -21,7 +21,7 @@ from xray_drake.dataset.shards import (
     verify_shard,
 )
 from xray_drake.files import remove_leftovers, write_whole_file
-from xray_drake.processes import ATTEMPTS, Died, Failed, JobProcesses, Sent
+from xray_drake.processes import ATTEMPTS, run_jobs
 from xray_drake.provenance import Provenance, current
 from xray_drake.threads import limit_threads
 
@@ -118,38 +118,18 @@ def run_processes(
         RuntimeError: a shard could not be made; the message names it. The
             others under way are stopped; what is on disk stays.
     """
-    events = JobProcesses(
-        partial(_make, folder, manifest),
+    for shard, value in run_jobs(
+        partial(make_shard, folder, manifest),
         shards,
         workers=workers,
         preload=["xray_drake.dataset.generator"],
-    )
-    for event in events:
-        match event:
-            case Sent(value=ShardReport() as report):
-                yield report
-            case Sent(job=shard, value=int(samples)):
-                progress(shard.name, samples)
-            case Failed(job=shard) as failed:
-                raise failed.error(
-                    f"{shard.name}: {failed.reason}; go on with --resume"
-                )
-            case Died(job=shard, again=True):
-                progress(shard.name, 0)
-            case Died(job=shard) as died:
-                raise RuntimeError(
-                    f"{shard.name}: its process {died.reason}; go on with "
-                    "--resume"
-                )
-
-
-def _make(
-    folder: Path,
-    manifest: Manifest,
-    shard: ExpectedShard,
-    send: Callable[[int | ShardReport], None],
-) -> None:
-    send(make_shard(folder, manifest, shard, progress=send))
+        name=lambda shard: shard.name,
+        advice="go on with --resume",
+    ):
+        if isinstance(value, ShardReport):
+            yield value
+        else:
+            progress(shard.name, value)
 
 
 def run_ray(
@@ -233,5 +213,6 @@ def _make_remotely(
             "install the same"
         )
     with tempfile.TemporaryDirectory() as folder:
-        report = make_shard(Path(folder), manifest, shard)
+        *_, report = make_shard(Path(folder), manifest, shard)
+        assert isinstance(report, ShardReport)
         return report, (Path(folder) / shard.name).read_bytes()

@@ -2,7 +2,7 @@
 
 import gc
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -145,19 +145,17 @@ def plan_dataset(
 
 
 def make_shard(
-    folder: Path,
-    manifest: Manifest,
-    shard: ExpectedShard,
-    *,
-    progress: Callable[[int], None] = lambda samples: None,
-) -> ShardReport:
+    folder: Path, manifest: Manifest, shard: ExpectedShard
+) -> Iterator[int | ShardReport]:
     """Makes one file of a dataset; the manifest alone decides what is in it.
 
     Args:
         folder: where it is written, completely or not at all.
         manifest: of the dataset.
         shard: which file.
-        progress: called with the number of samples made, heap by heap.
+
+    Yields:
+        The number of samples made, heap by heap, and the report at last.
 
     Raises:
         RuntimeError: heap after heap of one seed failed, or a sample does not
@@ -173,7 +171,7 @@ def make_shard(
     ):
         made = maker.make(heap_index)
         samples += made[: shard.count - len(samples)]
-        progress(len(samples))
+        yield len(samples)
         gc.collect()
     with clock("disk"):
         write_shard(
@@ -189,7 +187,7 @@ def make_shard(
                 index=shard.index,
             ),
         )
-    return ShardReport(
+    yield ShardReport(
         name=shard.name,
         samples=len(samples),
         heaps=maker.heaps,

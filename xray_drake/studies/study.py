@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from xray_drake.files import write_whole_file
-from xray_drake.processes import Died, Failed, JobProcesses, Sent
+from xray_drake.processes import run_jobs
 from xray_drake.provenance import Provenance, Run, current, open_lines
 
 Line = dict[str, Any]
@@ -103,27 +103,14 @@ def _measured(
 ) -> Iterator[Line]:
     # Of a partial, the function's.
     home = getattr(study.measure, "func", study.measure).__module__
-    events = JobProcesses(
-        _Measure(study.measure), items, workers=workers, preload=[home]
-    )
-    for event in events:
-        match event:
-            case Sent(job=item, value=line):
-                yield item | line
-            case Failed(job=item) as failed:
-                raise failed.error(f"{study.name}, {item}: {failed.reason}")
-            case Died(job=item, again=False) as died:
-                raise RuntimeError(
-                    f"{study.name}, {item}: its process {died.reason}"
-                )
-
-
-@dataclass(frozen=True)
-class _Measure:
-    measure: Callable[[Line], Line]
-
-    def __call__(self, item: Line, send: Callable[[Line], None]) -> None:
-        send(self.measure(item))
+    for item, line in run_jobs(
+        study.measure,
+        items,
+        workers=workers,
+        preload=[home],
+        name=lambda item: f"{study.name}, {item}",
+    ):
+        yield item | line
 
 
 def comma_separated(rows: Table) -> bytes:

@@ -10,7 +10,7 @@ being made.
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -34,7 +34,7 @@ from xray_drake.occupancy.learned.inputs import (
     geometry_input,
     size_features,
 )
-from xray_drake.processes import Died, Failed, JobProcesses, Sent
+from xray_drake.processes import run_jobs
 from xray_drake.seeding import stream
 from xray_drake.training.disturbance import believed_camera
 from xray_drake.training.items import Item, make_item, pack, unpack
@@ -166,7 +166,7 @@ def prepare(
         jobs: of :func:`plan`.
         config: the same as there.
         validation_share: the same as there.
-        workers: processes.
+        workers: processes; 0 makes them in this one.
 
     Raises:
         ShardError: a damaged shard.
@@ -185,38 +185,28 @@ def prepare(
             folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(sole_writer(folder))
             remove_leftovers(folder)
-        events = JobProcesses(
+        for _, error in run_jobs(
             partial(_prepare_job, config, validation_share),
             missing,
             workers=workers,
             preload=["xray_drake.training.prepare"],
-        )
-        for event in events:
-            match event:
-                case Sent(value=None):
-                    done += 1
-                    yield done
-                case Sent(value=error):
-                    raise error
-                case Failed(job=(shard, _)) as failed:
-                    raise failed.error(f"{shard}: {failed.reason}")
-                case Died(job=(shard, _), again=False) as died:
-                    raise RuntimeError(f"{shard}: its process {died.reason}")
+            name=lambda job: str(job[0]),
+        ):
+            if error is not None:
+                raise error
+            done += 1
+            yield done
 
 
 def _prepare_job(
-    config: PrepareConfig,
-    validation_share: float,
-    job: tuple[Path, Path],
-    send: Callable[[ShardError | OSError | None], None],
-) -> None:
-    """Makes the items of a shard in a process; sends what is wrong with it."""
+    config: PrepareConfig, validation_share: float, job: tuple[Path, Path]
+) -> ShardError | OSError | None:
+    """Makes the items of a shard; returns what is wrong with it."""
     try:
         prepare_shard(*job, config, validation_share)
     except (ShardError, OSError) as error:
-        send(error)
-    else:
-        send(None)
+        return error
+    return None
 
 
 def _item_name(

@@ -1,6 +1,7 @@
 """Imports the objects of a folder of mesh files."""
 
 import logging
+import multiprocessing
 import signal
 import zlib
 from collections.abc import Callable, Iterator
@@ -14,15 +15,7 @@ import numpy as np
 import trimesh
 
 from xray_drake.caches import cache_folder
-from xray_drake.faults import one_line
-from xray_drake.processes import (
-    Died,
-    Failed,
-    JobProcesses,
-    Overran,
-    Sent,
-    can_start_processes,
-)
+from xray_drake.processes import Lost, run_jobs
 from xray_drake.scene.colors import distractor_color
 from xray_drake.scene.meshes.files import (
     MASSES_FILE,
@@ -229,43 +222,29 @@ def _prepare_all(
             missing.append(index)
         else:
             yield index, known
-    if not can_start_processes():
-        for index in missing:
-            try:
-                outcome = prepare_cached(files[index].path, settings, cache)
-            except (Exception, SystemExit) as error:
-                outcome = _failed(one_line(error))
-            yield index, outcome
-        return
     paths = [file.path for file in files]
-    processes = JobProcesses(
+
+    def lost(lost: Lost[int]) -> Outcome:
+        path = paths[lost.job]
+        if lost.cause == "failed":
+            _logger.debug("%s\n%s", path, lost.traceback)
+            return Outcome(None, f"cannot be decomposed ({lost.reason[:200]})")
+        if lost.cause == "overran":
+            reason = f"preparing it takes longer than {time_limit:g} s"
+            return keep_reason(path, settings, cache, reason, time_limit)
+        # Memory that ran out may suffice another time.
+        if lost.status == -signal.SIGKILL:
+            return Outcome(None, lost.reason)
+        return keep_reason(path, settings, cache, lost.reason)
+
+    yield from run_jobs(
         partial(_prepare, paths, settings, cache),
         missing,
         workers=workers,
         preload=["xray_drake.scene.meshes.prepare"],
+        lost=lost,
         limit=time_limit,
     )
-    for event in processes:
-        index = event.job
-        keep = partial(keep_reason, paths[index], settings, cache)
-        match event:
-            case Sent(value=outcome):
-                yield index, outcome
-            case Overran():
-                reason = f"preparing it takes longer than {time_limit:g} s"
-                yield index, keep(reason, time_limit)
-            case Failed(reason=reason, traceback=traceback):
-                _logger.debug("%s\n%s", paths[index], traceback)
-                yield index, _failed(reason)
-            case Died(again=False) as died:
-                reason = f"its process {died.reason}"
-                # Memory that ran out may suffice another time.
-                killed = died.status == -signal.SIGKILL
-                yield index, Outcome(None, reason) if killed else keep(reason)
-
-
-def _failed(reason: str) -> Outcome:
-    return Outcome(None, f"cannot be decomposed ({reason[:200]})")
 
 
 def _prepare(
@@ -273,13 +252,14 @@ def _prepare(
     settings: Settings,
     cache: Path,
     index: int,
-    send: Callable[[Outcome], None],
-) -> None:
-    """Prepares one file, in a process of its own."""
-    with suppress(OSError):
-        # Where memory runs out, Linux ends this process and not another.
-        Path("/proc/self/oom_score_adj").write_text("1000", encoding="utf-8")
-    send(prepare_cached(paths[index], settings, cache))
+) -> Outcome:
+    """Prepares one file, in a process of its own if that may be."""
+    if not multiprocessing.current_process().daemon:
+        with suppress(OSError):
+            # Where memory runs out, Linux ends this process and not another.
+            score = Path("/proc/self/oom_score_adj")
+            score.write_text("1000", encoding="utf-8")
+    return prepare_cached(paths[index], settings, cache)
 
 
 def _some(names: list[str], most: int = 5) -> str:
