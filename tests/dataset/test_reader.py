@@ -57,13 +57,6 @@ def test_an_item(dataset: Any) -> None:
             items[index]
 
 
-def test_scaled_down(dataset: Any) -> None:
-    item = OccupancyDataset(dataset.folder, downscale=4)[1]
-    assert item["input"].shape == (3, 6, 8)
-    assert item["occupancy"].shape == (1, 6, 8)
-    assert item["amodal"].dtype == torch.bool
-
-
 def test_splits_by_object(dataset: Any) -> None:
     counts = [
         len(OccupancyDataset(dataset.folder, split=split))
@@ -125,9 +118,7 @@ def test_a_transform_draws_anew_each_epoch(dataset: Any) -> None:
 
 
 def test_loader_workers_read_the_same(dataset: Any) -> None:
-    items = OccupancyDataset(
-        dataset.folder, transform=Augmentation(), downscale=2
-    )
+    items = OccupancyDataset(dataset.folder, transform=Augmentation())
     expected = [items[i] for i in range(10)]  # files are open here now
     loader = DataLoader(
         items,
@@ -139,7 +130,7 @@ def test_loader_workers_read_the_same(dataset: Any) -> None:
     for epoch in (0, 1):
         items.set_epoch(epoch)
         batches = list(loader)
-        assert [b["input"].shape for b in batches] == [(5, 3, 12, 16)] * 2
+        assert [b["input"].shape for b in batches] == [(5, 3, 24, 32)] * 2
         found = torch.cat([b["input"] for b in batches])
         same = [
             torch.equal(e["input"], f)
@@ -232,7 +223,6 @@ def test_a_shard_of_another_size_is_refused(own_dataset: Any) -> None:
         ({"split": "training"}, "no split is called 'training'"),
         ({"images": "test"}, "images are all, train or validation"),
         ({"validation_share": 1.5}, "validation_share is 1.5"),
-        ({"downscale": 5}, "24×32 cannot be scaled down by 5"),
         ({"targets": ["flute"]}, "holds no sample of what was asked for"),
     ],
 )

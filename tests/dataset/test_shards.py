@@ -2,7 +2,6 @@ import dataclasses
 import errno
 import multiprocessing
 import pickle
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +22,6 @@ from xray_drake.dataset.shards import (
     verify_shard,
     write_shard,
 )
-from xray_drake.files import remove_leftovers
 
 _MakeSample = Callable[..., Sample]
 
@@ -112,7 +110,6 @@ def test_the_same_samples_give_the_same_bytes(
 
 def test_any_hdf5_tool_can_read_it(shard: Path) -> None:
     with h5py.File(shard) as file:
-        assert file.userblock_size == 512
         assert file["depth"].shape == (3, 24, 32)
         assert file["depth"].dtype == np.uint16
         assert file["depth"].chunks == (1, 24, 32)
@@ -120,41 +117,6 @@ def test_any_hdf5_tool_can_read_it(shard: Path) -> None:
         assert file["object_names"].asstr()[0] == '["plate", "Löffel"]'
         assert file.attrs["metres_per_count"] == 1e-4
         assert file.attrs["scenario"] == "name: päper\n"
-
-
-def test_a_shell_can_verify_it(shard: Path) -> None:
-    found = subprocess.run(
-        f"tail -c +513 {shard} | sha256sum",
-        shell=True,
-        capture_output=True,
-        check=True,
-    ).stdout.split()[0]
-    assert found in shard.read_bytes()[:512]
-
-
-@settings(max_examples=200, deadline=None)
-@given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_any_flipped_bit_is_found(shard: Path, where: float, bit: int) -> None:
-    data = bytearray(shard.read_bytes())
-    data[int(where * len(data))] ^= 1 << bit
-    broken = shard.with_name("broken.h5")
-    broken.write_bytes(data)
-    with pytest.raises(ShardError, match=r"broken\.h5 is damaged"):
-        verify_shard(broken)
-    with pytest.raises(ShardError, match=r"broken\.h5 is damaged"):
-        read_shard(broken)
-
-
-@pytest.mark.parametrize("bit", range(8))
-def test_any_flipped_bit_of_the_header_is_found(shard: Path, bit: int) -> None:
-    data = shard.read_bytes()
-    broken = shard.with_name("broken.h5")
-    for where in range(512):
-        flipped = bytearray(data)
-        flipped[where] ^= 1 << bit
-        broken.write_bytes(flipped)
-        with pytest.raises(ShardError, match=r"broken\.h5 is damaged"):
-            verify_shard(broken)
 
 
 @settings(max_examples=60, deadline=None)
@@ -173,9 +135,9 @@ def len_of(path: Path) -> int:
         return len(reader)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_lazy_reading_gives_the_truth_or_an_error(
+def test_a_flipped_bit_is_found_or_changes_nothing(
     shard: Path, where: float, bit: int
 ) -> None:
     """The checksums of HDF5 cover what the reader uses."""
@@ -184,8 +146,7 @@ def test_lazy_reading_gives_the_truth_or_an_error(
     broken = shard.with_name("lazy.h5")
     broken.write_bytes(data)
     try:
-        with ShardReader(broken) as reader:
-            samples = [reader.sample(i) for i in range(3)]
+        samples = read_shard(broken)
     except ShardError as error:
         assert "lazy.h5" in str(error)
         return
@@ -193,12 +154,15 @@ def test_lazy_reading_gives_the_truth_or_an_error(
         assert_same(expected, found)
 
 
-def test_bytes_after_the_end_are_found(shard: Path, tmp_path: Path) -> None:
-    path = tmp_path / "long.h5"
-    path.write_bytes(shard.read_bytes() + b"\0")
-    for use in (verify_shard, len_of):
-        with pytest.raises(ShardError, match=r"long\.h5 is damaged"):
-            use(path)
+def test_a_shard_of_an_older_version_is_read(
+    shard: Path, tmp_path: Path
+) -> None:
+    """Those begin with 512 bytes of text: length and SHA-256 of the rest."""
+    old = tmp_path / "old.h5"
+    header = b"xray_drake shard 1\nbytes 1\nsha256 0\n".ljust(512, b"\0")
+    old.write_bytes(header + shard.read_bytes())
+    for ours, theirs in zip(read_shard(shard), read_shard(old), strict=True):
+        assert_same(ours, theirs)
 
 
 def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
@@ -249,33 +213,6 @@ def test_a_full_disk_leaves_nothing_behind(
         assert "\n" not in str(error_info.value)
     assert sorted(shard.parent.iterdir()) == before
     assert shard.read_bytes() == content
-
-
-@pytest.mark.skipif(
-    not Path("/dev/full").exists(), reason="needs Linux's /dev/full"
-)
-def test_a_device_that_is_full_says_so(
-    make_sample: _MakeSample, tmp_path: Path
-) -> None:
-    (tmp_path / f".x.h5.{files.os.getpid()}.part").symlink_to("/dev/full")
-    with pytest.raises(OSError, match="no space left"):
-        write_shard(tmp_path / "x.h5", [make_sample()], _ATTRIBUTES)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_is_not_there_is_named(
-    make_sample: _MakeSample, tmp_path: Path
-) -> None:
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        write_shard(tmp_path / "nowhere/x.h5", [make_sample()], _ATTRIBUTES)
-
-
-def test_leftovers_are_removed(tmp_path: Path) -> None:
-    part = tmp_path / ".train-00003.h5.4711.part"
-    part.touch()
-    (tmp_path / "train-00002.h5").touch()
-    assert remove_leftovers(tmp_path) == [part]
-    assert [p.name for p in tmp_path.iterdir()] == ["train-00002.h5"]
 
 
 def test_a_reader_travels_to_other_processes(shard: Path) -> None:

@@ -96,10 +96,13 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def _prepare(
-    dataset: Path, folder: Path, config: PrepareConfig = EXACT
+    dataset: Path,
+    folder: Path,
+    config: PrepareConfig = EXACT,
+    workers: int = 0,
 ) -> list[Path]:
     jobs = plan([dataset], folder, config, SHARE)
-    told = list(prepare(jobs, config, SHARE, workers=0))
+    told = list(prepare(jobs, config, SHARE, workers=workers))
     assert told[-1] == len(jobs)
     assert told == sorted(told)
     return [path for _, path in jobs]
@@ -497,11 +500,11 @@ def test_a_process_that_dies_is_one_line_with_its_shard(
     with pytest.raises(
         RuntimeError, match=r"train-0000\d\.h5: its process .* SIGSEGV"
     ):
-        _prepare(dataset, tmp_path)
+        _prepare(dataset, tmp_path, workers=1)
 
 
 def test_processes_make_the_same_items(dataset: Path, tmp_path: Path) -> None:
-    files = _prepare(dataset, tmp_path, PrepareConfig())
+    files = _prepare(dataset, tmp_path, PrepareConfig(), workers=1)
     path = tmp_path / "here.npz"
     prepare_shard(dataset / "train-00000.h5", path, PrepareConfig(), SHARE)
     assert files[0].read_bytes() == path.read_bytes()

@@ -10,13 +10,12 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from xray_drake.dataset.images import LabelledImages, downscale
-from xray_drake.dataset.manifest import DatasetError, read_manifest
+from xray_drake.dataset.images import LabelledImages
+from xray_drake.dataset.manifest import DatasetError
 from xray_drake.dataset.sample import Sample, SampleKey
-from xray_drake.dataset.shards import ShardReader, open_shard
+from xray_drake.dataset.shards import ShardReader, dataset_shards
 from xray_drake.occupancy.learned.augmented_depth import augmented_depth
 from xray_drake.seeding import stream
-from xray_drake.splits import SPLITS
 
 Transform = Callable[[LabelledImages, np.random.Generator], LabelledImages]
 
@@ -32,12 +31,12 @@ _MAX_OPEN = 64
 class OccupancyDataset(Dataset[dict[str, Any]]):
     """Augmented depth images and their occupancy distributions.
 
-    An item is a dict, with (h, w) the size after scaling down:
+    An item is a dict:
 
-    - ``input``: (3, h, w) float32, see
+    - ``input``: (3, H, W) float32, see
       :func:`xray_drake.occupancy.learned.augmented_depth.augmented_depth`;
-    - ``occupancy``: (1, h, w) float32 in [0, 1];
-    - ``modal``, ``amodal``: (1, h, w) bool;
+    - ``occupancy``: (1, H, W) float32 in [0, 1];
+    - ``modal``, ``amodal``: (1, H, W) bool;
     - ``target_size``: (3,) float32, m;
     - ``index``: int, of the item in this dataset: see ``keys``;
     - ``key``: str, for people.
@@ -61,7 +60,6 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
         images: Literal["all", "train", "validation"] = "all",
         validation_share: float = 0.2,
         targets: Iterable[str] | None = None,
-        downscale: int = 1,
         transform: Transform | None = None,
         seed: int = 0,
         incomplete: bool = False,
@@ -75,8 +73,7 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
                 a heap on one side; the same heaps whatever the split.
             validation_share: share of the heaps in ``"validation"``.
             targets: only samples of these; None is all.
-            downscale: a whole factor by which images become smaller.
-            transform: changes images before they are scaled down, e.g. an
+            transform: changes images, e.g. an
                 :class:`~xray_drake.dataset.augmentation.Augmentation`.
             seed: of the transform; with the epoch and the index it decides.
             incomplete: take what is there of a dataset that is being made.
@@ -87,10 +84,6 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
             NoSampleError: nothing is left.
             ValueError: an argument is none of those allowed.
         """
-        if split is not None and split not in SPLITS:
-            raise ValueError(
-                f"no split is called {split!r}: {', '.join(SPLITS)}"
-            )
         if images not in ("all", "train", "validation"):
             raise ValueError(
                 f"images are all, train or validation, not {images!r}"
@@ -98,63 +91,33 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
         if not 0 <= validation_share <= 1:
             raise ValueError(f"validation_share is {validation_share}")
         self.folder = Path(folder)
-        manifest = read_manifest(self.folder)
-        if (
-            downscale < 1
-            or manifest.height % downscale
-            or manifest.width % downscale
-        ):
-            raise ValueError(
-                f"images of {manifest.height}×{manifest.width} cannot be "
-                f"scaled down by {downscale}"
-            )
-        self._downscale = downscale
         self._transform = transform
         self._seed = seed
         # Shared, so that a loader's workers that stay alive see it change.
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
         self._paths: list[Path] = []
         self._open_shards: OrderedDict[int, ShardReader] = OrderedDict()
-
         wanted = None if targets is None else set(targets)
         keys: list[SampleKey] = []
         places: list[tuple[int, int]] = []
-        sizes: list[np.ndarray] = []
-        focal: list[float] = []
-        for expected in manifest.expected_shards():
-            if split not in (None, expected.split):
-                continue
-            path = self.folder / expected.name
-            if not path.is_file():
-                if incomplete:
+        for _, shard in dataset_shards(
+            self.folder, split=split, incomplete=incomplete
+        ):
+            for row, key in enumerate(shard.keys):
+                if wanted is not None and key.target_name not in wanted:
                     continue
-                raise DatasetError(
-                    f"{path} is missing: resume 'xray-drake generate'"
-                )
-            shard_index = len(self._paths)
-            self._paths.append(path)
-            with open_shard(self.folder, manifest, expected) as shard:
-                target_size = shard.rows("target_size")
-                intrinsics = shard.rows("intrinsics")
-                for index, key in enumerate(shard.keys):
-                    if wanted is not None and key.target_name not in wanted:
-                        continue
-                    held_out = is_held_out(key.heap_seed, validation_share)
-                    if images != "all" and held_out != (images == "validation"):
-                        continue
+                held_out = is_held_out(key.heap_seed, validation_share)
+                if images == "all" or held_out == (images == "validation"):
                     keys.append(key)
-                    places.append((shard_index, index))
-                    sizes.append(target_size[index])
-                    focal.append(intrinsics[index, 0, 0])
+                    places.append((len(self._paths), row))
+            self._paths.append(shard.path)
         if not keys:
             raise NoSampleError(
                 f"{self.folder} holds no sample of what was asked for"
             )
         self.keys = tuple(keys)
-        # Arrays, not lists: forked workers would copy lists as they count.
+        # An array, not a list: forked workers would copy that as they count.
         self._places = np.array(places)
-        self._sizes = np.array(sizes, dtype=np.float32)
-        self._focal_lengths = np.array(focal)
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -165,12 +128,13 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         index = self._checked(index)
         images = self.images(index)
+        shard, row = self._shard_of(index)
+        size = shard.rows("target_size")[row]
         if self._transform is not None:
             rng = stream(
                 self._seed, "augmentation", int(self._epoch.item()), index
             )
             images = self._transform(images, rng)
-        images = downscale(images, self._downscale)
 
         def tensor(image: np.ndarray) -> torch.Tensor:
             return torch.from_numpy(np.ascontiguousarray(image)[None])
@@ -182,7 +146,7 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
             "occupancy": tensor(images.occupancy),
             "modal": tensor(images.modal),
             "amodal": tensor(images.amodal),
-            "target_size": torch.from_numpy(self._sizes[index]),
+            "target_size": torch.from_numpy(size.astype(np.float32)),
             "index": index,
             "key": str(self.keys[index]),
         }
@@ -204,7 +168,7 @@ class OccupancyDataset(Dataset[dict[str, Any]]):
             modal=shard.image("target_modal", row),
             amodal=shard.image("target_amodal", row),
             occupancy=shard.image("occupancy", row),
-            focal_length=float(self._focal_lengths[index]),
+            focal_length=float(shard.rows("intrinsics")[row, 0, 0]),
         )
 
     def sample(self, index: int) -> Sample:

@@ -1,8 +1,7 @@
 """One labelled image of a heap, and the rules that it must obey."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -31,28 +30,28 @@ _MASS_ON_VISIBLE = 0.8
 """Share of a wholly visible target's distribution on its modal mask. Candidates
 agree with it to an IoU of 0.9; the rest is for rounding to pixels."""
 
-_DTYPES: dict[str, type] = {
+_IMAGES: Mapping[str, type] = {
     "depth": np.float32,
     "depth_without_target": np.float32,
     "target_modal": np.bool_,
     "target_amodal": np.bool_,
     "instances": np.uint8,
     "occupancy": np.float32,
-    "intrinsics": np.float64,
-    "X_WC": np.float64,
-    "X_WT": np.float64,
-    "target_size": np.float64,
 }
 
-IMAGES = (
-    "depth",
-    "depth_without_target",
-    "target_modal",
-    "target_amodal",
-    "instances",
-    "occupancy",
-)
+IMAGES = tuple(_IMAGES)
 """The fields of a sample that are (H, W) images; ``color`` is the seventh."""
+
+MATRICES: Mapping[str, tuple[int, ...]] = {
+    "intrinsics": (3, 3),
+    "X_WC": (4, 4),
+    "X_WT": (4, 4),
+    "target_size": (3,),
+}
+"""The fields that are arrays of floats, and their shapes."""
+
+NUMBERS = ("heap_seed", "view", "num_dropped")
+"""The fields that are whole numbers."""
 
 
 @dataclass(frozen=True, order=True)
@@ -129,34 +128,27 @@ class Sample:
     color: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        for name, dtype in _DTYPES.items():
-            self._freeze(name, dtype)
+        shape = np.shape(self.depth)
+        if len(shape) != 2 or 0 in shape:
+            raise ValueError(f"depth is {shape}, not (H, W)")
+        layout: dict[str, tuple[type, tuple[int, ...]]] = {
+            **{name: (dtype, shape) for name, dtype in _IMAGES.items()},
+            **{name: (float, wanted) for name, wanted in MATRICES.items()},
+        }
         if self.color is not None:
-            self._freeze("color", np.uint8)
+            layout["color"] = np.uint8, (*shape, 3)
+        for name, (dtype, wanted) in layout.items():
+            array: np.ndarray = np.array(getattr(self, name), dtype=dtype)
+            if array.shape != wanted:
+                raise ValueError(f"{name} is {array.shape}, not {wanted}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
         object.__setattr__(self, "object_names", tuple(self.object_names))
-        for name in ("heap_seed", "view", "num_dropped"):
+        for name in NUMBERS:
             number = int(getattr(self, name))
             if not 0 <= number < 2**63:
                 raise ValueError(f"{name} is {number}: not in [0, 2^63)")
             object.__setattr__(self, name, number)
-        shapes: dict[str, tuple[int, ...]] = {
-            name: self.depth.shape for name in IMAGES
-        }
-        shapes |= {"intrinsics": (3, 3), "X_WC": (4, 4), "X_WT": (4, 4)}
-        shapes["target_size"] = (3,)
-        if self.color is not None:
-            shapes["color"] = (*self.depth.shape, 3)
-        if self.depth.ndim != 2 or self.depth.size == 0:
-            raise ValueError(f"depth is {self.depth.shape}, not (H, W)")
-        for name, shape in shapes.items():
-            found = getattr(self, name).shape
-            if found != shape:
-                raise ValueError(f"{name} is {found}, not {shape}")
-
-    def _freeze(self, name: str, dtype: Any) -> None:
-        array = np.array(getattr(self, name), dtype=dtype)
-        array.setflags(write=False)
-        object.__setattr__(self, name, array)
 
     @property
     def key(self) -> SampleKey:
@@ -260,12 +252,13 @@ def problems(sample: Sample) -> list[str]:
     Holds for whatever was rendered and labelled by PROTOCOL.md, before it is
     written and after it was read; an empty list means a sound sample.
     """
+    numbers = list(_numbers(sample))
     return [
-        *_numbers(sample),
+        *numbers,
         *_masks(sample),
         *_depths(sample),
         *_distribution(sample),
-        *_geometry(sample),
+        *([] if numbers else _geometry(sample)),
     ]
 
 
@@ -317,19 +310,16 @@ def _masks(sample: Sample) -> Iterator[str]:
 
 
 def _depths(sample: Sample) -> Iterator[str]:
-    sound = True
-    for name in ("depth", "depth_without_target"):
-        depth = getattr(sample, name)
-        if not (np.all(np.isfinite(depth)) and np.all(depth >= 0)):
-            yield f"{name} has values that are negative or not finite"
-            sound = False
-        elif depth.max() > MAX_DEPTH + _DEPTH_TOLERANCE:
-            yield f"{name} reaches {depth.max():g} m, beyond {MAX_DEPTH:g} m"
-            sound = False
-    if not sound:
-        return
     with_, without = sample.depth, sample.depth_without_target
     modal = sample.target_modal
+    for name, depth in (("depth", with_), ("depth_without_target", without)):
+        if not (np.all(np.isfinite(depth)) and np.all(depth >= 0)):
+            yield f"{name} has values that are negative or not finite"
+        elif depth.max() > MAX_DEPTH + _DEPTH_TOLERANCE:
+            yield f"{name} reaches {depth.max():g} m, beyond {MAX_DEPTH:g} m"
+        else:
+            continue
+        return
     differ = np.abs(with_ - without) > _DEPTH_TOLERANCE
     count = np.count_nonzero(differ & ~modal)
     if count:
@@ -366,8 +356,6 @@ def _distribution(sample: Sample) -> Iterator[str]:
 
 def _geometry(sample: Sample) -> Iterator[str]:
     """The target's pixels lie where its pose says, by its bounding sphere."""
-    if list(_numbers(sample)):
-        return
     radius = np.linalg.norm(sample.target_size) / 2
     u, v, z = sample.camera.project(sample.X_WT[:3, 3])
     if z <= radius:

@@ -1,21 +1,16 @@
 """Shards: HDF5 files of labelled images that know when they are damaged.
 
-A shard begins with 512 bytes of text (HDF5's *user block*, which HDF5 tools
-skip): length and SHA-256 of the rest. So a bit flipped anywhere is found, by
-``verify_shard`` or by ``tail -c +513 SHARD | sha256sum``; a truncated file is
-found when it is opened, and images carry a Fletcher-32 checksum each, which is
-checked whenever they are read.
+HDF5 keeps the checksums: a Fletcher-32 of each array, and of each image by
+itself, is checked whenever it is read, as are its own of the file's metadata;
+a truncated file is found when it is opened.
 """
 
-import hashlib
 import json
 import os
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import h5py
@@ -26,10 +21,13 @@ from xray_drake.dataset.manifest import (
     DatasetError,
     ExpectedShard,
     Manifest,
+    read_manifest,
 )
 from xray_drake.dataset.sample import (
     IMAGES,
+    MATRICES,
     METRES_PER_COUNT,
+    NUMBERS,
     Sample,
     SampleKey,
     decode_depth,
@@ -38,25 +36,32 @@ from xray_drake.dataset.sample import (
     encode_occupancy,
 )
 from xray_drake.files import write_whole_file
-
-_HEADER_SIZE = 512
-_HEADER = re.compile(
-    rb"xray_drake shard 1\nbytes (\d+)\nsha256 ([0-9a-f]{64})\n\0*"
-)
+from xray_drake.splits import SPLITS
 
 _LIBVER = ("v110", "v110")
 """Readable from HDF5 1.10 on; its metadata carry checksums."""
 
-_COMPRESSION: dict[str, Any] = {
-    "compression": "gzip",
-    "compression_opts": 4,
-    "shuffle": True,
-}
 
-_DEPTHS = ("depth", "depth_without_target")
-_MASKS = ("target_modal", "target_amodal")
-_MATRICES = ("intrinsics", "X_WC", "X_WT", "target_size")
-_NUMBERS = ("heap_seed", "view", "num_dropped")
+def _encode_bytes(image: np.ndarray) -> np.ndarray:
+    return image.astype(np.uint8)
+
+
+def _decode_mask(stored: np.ndarray) -> np.ndarray:
+    return stored.astype(bool)
+
+
+_Encoding = Callable[[np.ndarray], np.ndarray]
+
+_ENCODINGS: Mapping[str, tuple[_Encoding, _Encoding]] = {
+    "depth": (encode_depth, decode_depth),
+    "depth_without_target": (encode_depth, decode_depth),
+    "target_modal": (_encode_bytes, _decode_mask),
+    "target_amodal": (_encode_bytes, _decode_mask),
+    "instances": (_encode_bytes, np.asarray),
+    "occupancy": (encode_occupancy, decode_occupancy),
+    "color": (_encode_bytes, np.asarray),
+}
+"""How an image goes to disk and comes back."""
 
 
 class ShardError(DatasetError):
@@ -121,35 +126,28 @@ def write_shard(
         OSError: it cannot be written (a full disk); nothing is left over.
     """
     _check_fit(samples)
-    image = _hdf5_image(samples, attributes)
-    write_whole_file(path, _header(image) + image)
+    write_whole_file(path, _hdf5_image(samples, attributes))
 
 
 def verify_shard(path: Path) -> None:
-    """Reads every byte of a shard and compares with its checksum.
-
-    Raises:
-        ShardError: it is truncated or has a flipped bit.
-        OSError: it cannot be read at all.
-    """
-    digest, length = hashlib.sha256(), 0
-    with path.open("rb") as file:
-        expected = _read_header(file.read(_HEADER_SIZE), path)
-        while block := file.read(1 << 20):
-            digest.update(block)
-            length += len(block)
-    if (length, digest.hexdigest()) != expected:
-        raise ShardError(f"{path} is damaged: its checksum does not match")
-
-
-def read_shard(path: Path) -> list[Sample]:
-    """Verifies a shard and reads all its samples.
+    """Reads all samples of a shard, and so compares all checksums.
 
     Raises:
         ShardError: it is damaged.
         OSError: it cannot be read at all.
     """
-    verify_shard(path)
+    with ShardReader(path) as shard:
+        for index in range(len(shard)):
+            shard.sample(index)
+
+
+def read_shard(path: Path) -> list[Sample]:
+    """Reads all samples of a shard.
+
+    Raises:
+        ShardError: it is damaged.
+        OSError: it cannot be read at all.
+    """
     with ShardReader(path) as shard:
         return [shard.sample(i) for i in range(len(shard))]
 
@@ -158,8 +156,8 @@ class ShardReader:
     """Reads single samples of a shard when they are asked for.
 
     Opens the file at the first use, again in every process that it is sent or
-    forked to. Checks the file's length when it opens, an image's checksum when
-    it reads; :func:`verify_shard` checks everything.
+    forked to. Checks an image's checksum when it reads it;
+    :func:`verify_shard` checks everything.
 
     All methods raise :class:`ShardError` for a damaged file, ``OSError`` for
     one that cannot be read at all.
@@ -171,22 +169,13 @@ class ShardReader:
         self._pid = -1
         self._keys: tuple[SampleKey, ...] | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "_keys": self._keys}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["path"])  # type: ignore[misc]
-        self._keys = state["_keys"]
+    def __reduce__(self) -> tuple[type, tuple[Path]]:
+        return ShardReader, (self.path,)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -202,37 +191,36 @@ class ShardReader:
     def keys(self) -> tuple[SampleKey, ...]:
         """The key of each sample, in order; read once."""
         if self._keys is None:
-            heap_seed, view, num_dropped = (
-                self._whole(name) for name in _NUMBERS
-            )
-            names = self._strings("target_name")
-            self._keys = tuple(
-                SampleKey(int(seed), name, int(v), int(dropped))
-                for seed, name, v, dropped in zip(
-                    heap_seed, names, view, num_dropped, strict=True
+            numbers = [self._read(name).tolist() for name in NUMBERS]
+            with _naming_damage(self.path):
+                names = [text.decode() for text in self._read("target_name")]
+                self._keys = tuple(
+                    SampleKey(seed, name, view, dropped)
+                    for name, seed, view, dropped in zip(
+                        names, *numbers, strict=True
+                    )
                 )
-            )
         return self._keys
 
     @property
     def attributes(self) -> ShardAttributes:
         """What all samples have in common."""
         with _naming_damage(self.path):
-            stored = dict(self._open().attrs)
+            stored = self._open().attrs
+            kinds = {f.name: f.type for f in fields(ShardAttributes)}
             return ShardAttributes(
-                split=str(stored["split"]),
-                scenario=str(stored["scenario"]),
-                package_version=str(stored["package_version"]),
-                drake_version=str(stored["drake_version"]),
-                dataset=str(stored["dataset"]),
-                index=int(stored.get("index", -1)),
-                format_version=int(stored["format_version"]),
+                **{
+                    name: kind(stored[name])  # type: ignore[operator]
+                    for name, kind in kinds.items()
+                    if name in stored or name != "index"
+                }
             )
 
     @property
     def shape(self) -> tuple[int, int]:
         """``(height, width)`` of the images."""
-        height, width = self._dataset("depth").shape[1:]
+        with _naming_damage(self.path):
+            height, width = self._open()["depth"].shape[1:]
         return height, width
 
     @property
@@ -256,16 +244,8 @@ class ShardReader:
         """
         if not 0 <= index < len(self):
             raise IndexError(f"{self.path} has no sample {index}")
-        dataset = self._dataset(name)
-        with _naming_damage(self.path):
-            stored = dataset[index]
-        if name in _DEPTHS:
-            return decode_depth(stored)
-        if name in _MASKS:
-            return stored.astype(bool)
-        if name == "occupancy":
-            return decode_occupancy(stored)
-        return stored
+        _, decode = _ENCODINGS[name]
+        return decode(self._read(name, index))
 
     def rows(self, name: str) -> np.ndarray:
         """Returns (N, ...) of all samples: a matrix or a number each.
@@ -274,17 +254,13 @@ class ShardReader:
             name: ``intrinsics``, ``X_WC``, ``X_WT``, ``target_size``,
                 ``heap_seed``, ``view`` or ``num_dropped``.
         """
-        return self._whole(name)
+        return self._read(name)
 
     def object_names(self) -> list[tuple[str, ...]]:
         """Returns the names of the distractors of all samples."""
-        texts = self._strings("object_names")
-        try:
+        texts = self._read("object_names")
+        with _naming_damage(self.path):
             return [tuple(json.loads(text)) for text in texts]
-        except json.JSONDecodeError as error:
-            raise ShardError(
-                f"{self.path} is damaged: object_names: {error}"
-            ) from error
 
     def sample(self, index: int) -> Sample:
         """Returns one sample, whole.
@@ -292,37 +268,22 @@ class ShardReader:
         Raises:
             IndexError: there is no such sample.
         """
-        images = {name: self.image(name, index) for name in IMAGES}
-        if self.has_color:
-            images["color"] = self.image("color", index)
-        key = self.keys[index]
-        return Sample(
-            **images,
-            **{name: self._whole(name)[index] for name in _MATRICES},
-            object_names=self.object_names()[index],
-            target_name=key.target_name,
-            heap_seed=key.heap_seed,
-            view=key.view,
-            num_dropped=key.num_dropped,
-        )
+        names = [*IMAGES, "color"] if self.has_color else IMAGES
+        parts: dict[str, Any] = {n: self.image(n, index) for n in names}
+        parts |= {name: self._read(name, index) for name in MATRICES}
+        key, objects = self.keys[index], self._read("object_names", index)
+        with _naming_damage(self.path):
+            return Sample(
+                **parts, object_names=json.loads(objects), **vars(key)
+            )
 
     def _open(self) -> h5py.File:
         # A handle that was inherited by a fork is left alone.
         if self._file is None or self._pid != os.getpid():
-            with self.path.open("rb") as file:
-                length, _ = _read_header(file.read(_HEADER_SIZE), self.path)
-                file.seek(0, os.SEEK_END)
-                found = file.tell() - _HEADER_SIZE
-            if found != length:
-                raise ShardError(
-                    f"{self.path} is damaged: {found} bytes instead of {length}"
-                )
             with _naming_damage(self.path):
-                self._file = h5py.File(
-                    self.path, "r", locking=False, rdcc_nbytes=0
-                )
-                version = self._file.attrs["format_version"]
-            self._pid = os.getpid()
+                file = h5py.File(self.path, "r", locking=False, rdcc_nbytes=0)
+                version = file.attrs["format_version"]
+            self._file, self._pid = file, os.getpid()
             if version != FORMAT_VERSION:
                 raise ForeignShardError(
                     f"{self.path} has format version {version}; this "
@@ -330,19 +291,43 @@ class ShardReader:
                 )
         return self._file
 
-    def _dataset(self, name: str) -> h5py.Dataset:
+    def _read(self, name: str, at: Any = slice(None)) -> Any:
+        """Returns what is stored of all samples, or of one."""
         with _naming_damage(self.path):
-            return self._open()[name]
+            return self._open()[name][at]
 
-    def _whole(self, name: str) -> np.ndarray:
-        dataset = self._dataset(name)
-        with _naming_damage(self.path):
-            return dataset[:]
 
-    def _strings(self, name: str) -> list[str]:
-        dataset = self._dataset(name)
-        with _naming_damage(self.path):
-            return [bytes(text).decode() for text in dataset[:]]
+def dataset_shards(
+    folder: Path, *, split: str | None = None, incomplete: bool = False
+) -> Iterator[tuple[ExpectedShard, ShardReader]]:
+    """Yields the shards of a dataset in their order, open.
+
+    Args:
+        folder: of the dataset.
+        split: of this split; None is all.
+        incomplete: leave out shards that are missing.
+
+    Raises:
+        DatasetError: the folder is no dataset, or a shard is missing, damaged
+            or another one.
+        ValueError: there is no such split.
+        OSError: a shard cannot be read at all.
+    """
+    if split not in (None, *SPLITS):
+        raise ValueError(f"no split is called {split!r}: {', '.join(SPLITS)}")
+    manifest = read_manifest(folder)
+    for expected in manifest.expected_shards():
+        path = folder / expected.name
+        if split not in (None, expected.split):
+            continue
+        if path.is_file():
+            with open_shard(folder, manifest, expected) as shard:
+                yield expected, shard
+        elif not incomplete:
+            raise DatasetError(
+                f"{path} is missing: resume 'xray-drake generate', or give "
+                "--incomplete to take what is there"
+            )
 
 
 def open_shard(
@@ -388,11 +373,9 @@ def shard_problems(
         yield f"is number {attributes.index} of its split, renamed"
     if len(shard) != expected.count:
         yield f"has {len(shard)} samples instead of {expected.count}"
-    if shard.shape != (manifest.height, manifest.width):
-        yield (
-            f"has images of {shard.shape}, not "
-            f"{(manifest.height, manifest.width)}"
-        )
+    wanted = manifest.height, manifest.width
+    if shard.shape != wanted:
+        yield f"has images of {shard.shape}, not {wanted}"
     if shard.has_color != manifest.color:
         yield ("has" if shard.has_color else "lacks") + " colour images"
 
@@ -405,7 +388,8 @@ def _naming_damage(path: Path) -> Iterator[None]:
     except (ShardError, FileNotFoundError, PermissionError):
         raise
     except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
-        raise ShardError(f"{path} is damaged: {error}") from error
+        reason = " ".join(str(error).split())
+        raise ShardError(f"{path} is damaged or no shard: {reason}") from error
 
 
 def _check_fit(samples: Sequence[Sample]) -> None:
@@ -435,94 +419,41 @@ def _hdf5_image(
     with h5py.File(
         "shard.h5", "w", driver="core", backing_store=False, libver=_LIBVER
     ) as file:
-        for field in fields(ShardAttributes):
-            file.attrs[field.name] = getattr(attributes, field.name)
+        file.attrs.update(vars(attributes))
         file.attrs["metres_per_count"] = METRES_PER_COUNT
-        for name in _DEPTHS:
-            _add_images(
-                file, name, (encode_depth(getattr(s, name)) for s in samples)
-            )
-        for name in (*_MASKS, "instances"):
-            _add_images(
-                file, name, (getattr(s, name).astype("u1") for s in samples)
-            )
-        _add_images(
-            file, "occupancy", (encode_occupancy(s.occupancy) for s in samples)
-        )
-        if samples[0].color is not None:
-            _add_images(
-                file,
-                "color",
-                (s.color for s in samples if s.color is not None),
-            )
-        for name in _MATRICES:
+        for name, (encode, _) in _ENCODINGS.items():
+            images = [getattr(s, name) for s in samples]
+            if images[0] is not None:
+                # One chunk each, so that each can be read alone.
+                _add(file, name, np.stack(list(map(encode, images))), rows=1)
+        for name in (*MATRICES, *NUMBERS):
             _add(file, name, np.stack([getattr(s, name) for s in samples]))
-        for name in _NUMBERS:
-            numbers = [getattr(s, name) for s in samples]
-            _add(file, name, np.array(numbers, dtype=np.int64))
-        _add_strings(
-            file,
-            "object_names",
-            [json.dumps(s.object_names, ensure_ascii=False) for s in samples],
+        objects = (
+            json.dumps(s.object_names, ensure_ascii=False) for s in samples
         )
-        _add_strings(file, "target_name", [s.target_name for s in samples])
-        num = len(samples)
-        for name, dataset in file.items():
-            if dataset.shape[0] != num:
-                raise AssertionError(f"{name} has {dataset.shape[0]} of {num}")
+        _add(file, "object_names", _strings(objects))
+        _add(file, "target_name", _strings(s.target_name for s in samples))
         file.flush()
         return file.id.get_file_image()
 
 
-def _add_images(
-    file: h5py.File, name: str, images: Iterable[np.ndarray]
-) -> None:
-    """Adds images, one chunk each, so that each can be read alone."""
-    stack = np.stack(list(images))
-    file.create_dataset(
-        name,
-        data=stack,
-        chunks=(1, *stack.shape[1:]),
-        fletcher32=True,
-        track_times=False,
-        **_COMPRESSION,
-    )
-
-
-def _add(file: h5py.File, name: str, data: np.ndarray) -> None:
-    file.create_dataset(
-        name,
-        data=data,
-        chunks=data.shape,
-        fletcher32=True,
-        track_times=False,
-        **_COMPRESSION,
-    )
-
-
-def _add_strings(file: h5py.File, name: str, texts: Sequence[str]) -> None:
-    # Of fixed length: HDF5 keeps others where no checksum covers them.
+def _strings(texts: Iterable[str]) -> np.ndarray:
     encoded = [text.encode() for text in texts]
     length = max(1, *map(len, encoded))
     kind = h5py.string_dtype("utf-8", length)
-    _add(file, name, np.array(encoded, dtype=f"S{length}").astype(kind))
+    return np.array(encoded, dtype=f"S{length}").astype(kind)
 
 
-def _header(image: bytes) -> bytes:
-    digest = hashlib.sha256(image).hexdigest()
-    text = f"xray_drake shard 1\nbytes {len(image)}\nsha256 {digest}\n"
-    return text.encode().ljust(_HEADER_SIZE, b"\0")
-
-
-def _read_header(header: bytes, path: Path) -> tuple[int, str]:
-    """Returns length and SHA-256 that the rest should have.
-
-    Raises:
-        ShardError: this is no header.
-    """
-    match = _HEADER.fullmatch(header)
-    if match is None or len(header) != _HEADER_SIZE:
-        raise ShardError(
-            f"{path} is damaged or no shard: it does not begin as one"
-        )
-    return int(match[1]), match[2].decode()
+def _add(
+    file: h5py.File, name: str, data: np.ndarray, rows: int | None = None
+) -> None:
+    file.create_dataset(
+        name,
+        data=data,
+        chunks=(rows or len(data), *data.shape[1:]),
+        compression="gzip",
+        compression_opts=4,
+        shuffle=True,
+        fletcher32=True,
+        track_times=False,
+    )

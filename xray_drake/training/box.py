@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xray_drake.dataset.manifest import read_manifest
-from xray_drake.dataset.shards import open_shard
+from xray_drake.dataset.shards import dataset_shards
 from xray_drake.training.config import TrainConfig, TrainingError, single_box
 
 _SAME = 5e-4
@@ -46,15 +45,9 @@ def _size_of(
     name: str, datasets: Sequence[Path]
 ) -> tuple[float, float, float] | None:
     for dataset in datasets:
-        manifest = read_manifest(dataset)
-        for expected in manifest.expected_shards():
-            if not (dataset / expected.name).is_file():
-                continue
-            with open_shard(dataset, manifest, expected) as shard:
-                for key, size in zip(
-                    shard.keys, shard.rows("target_size"), strict=True
-                ):
-                    if key.target_name == name:
-                        length, width, thickness = size.tolist()
-                        return length, width, thickness
+        for _, shard in dataset_shards(dataset, incomplete=True):
+            sizes = shard.rows("target_size").tolist()
+            for key, size in zip(shard.keys, sizes, strict=True):
+                if key.target_name == name:
+                    return size[0], size[1], size[2]
     return None

@@ -23,10 +23,10 @@ import numpy as np
 from xray_drake.configuration import SEEDS, choice, count, number, number_list
 from xray_drake.dataset.augmentation import DepthNoise, resize_mask
 from xray_drake.dataset.images import labelled_images
-from xray_drake.dataset.manifest import DatasetError, read_manifest
+from xray_drake.dataset.manifest import DatasetError
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardError, ShardReader, open_shard
+from xray_drake.dataset.shards import ShardError, ShardReader, dataset_shards
 from xray_drake.dataset.virtual import HIDDEN, is_virtual, virtual_sample
 from xray_drake.files import remove_leftovers, sole_writer, write_whole_file
 from xray_drake.geometry.camera import PinholeCamera
@@ -128,25 +128,16 @@ def plan(
         DatasetError: a dataset that cannot be read, or lacks a shard, or holds
             one of another.
     """
-    planned = []
+    jobs = []
     for dataset in datasets:
-        manifest = read_manifest(dataset)
-        fingerprint = manifest.fingerprint()
-        for expected in manifest.expected_shards():
+        for _, shard in dataset_shards(dataset, incomplete=incomplete):
             name = _item_name(
-                fingerprint, expected.name, config, validation_share
+                shard.attributes.dataset,
+                shard.path.name,
+                config,
+                validation_share,
             )
-            shard = dataset / expected.name
-            if shard.is_file():
-                open_shard(dataset, manifest, expected).close()
-            planned.append((shard, folder / name))
-    jobs = [job for job in planned if job[0].is_file()]
-    if len(jobs) < len(planned) and not incomplete:
-        absent = next(shard for shard, _ in planned if not shard.is_file())
-        raise DatasetError(
-            f"{absent} is missing: resume 'xray-drake generate', or train with "
-            "--incomplete on what is there"
-        )
+            jobs.append((shard.path, folder / name))
     if not jobs:
         names = ", ".join(map(str, datasets))
         raise DatasetError(f"no shard in {names}: run 'xray-drake generate'")
