@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.dataset.whole import bare_sample, write_dataset
+from tests.dataset.whole import bare_sample, flip_bit, write_dataset
 from xray_drake.cli import inspect as inspect_module
 from xray_drake.cli.main import app
 from xray_drake.dataset.manifest import Manifest
@@ -48,10 +48,7 @@ def test_check_of_a_sound_dataset(folder: Path, options: list[str]) -> None:
 
 
 def test_check_of_a_damaged_dataset(folder: Path) -> None:
-    path = folder / "train-00001.h5"
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
+    flip_bit(folder / "train-00001.h5")
     result = _run("dataset", "check", folder)
     assert result.exit_code == 1
     defect, count = result.stdout.splitlines()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.dataset.whole import flip_bit
 from xray_drake.dataset import check
 from xray_drake.dataset.check import CheckReport, check_dataset
 from xray_drake.dataset.manifest import (
@@ -117,10 +118,7 @@ def test_files_that_are_not_as_they_should_be(
 
 
 def test_a_flipped_bit_is_found(own_dataset: Any) -> None:
-    path = own_dataset.folder / "train-00002.h5"
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 4
-    path.write_bytes(data)
+    flip_bit(own_dataset.folder / "train-00002.h5")
     (line,) = _lines(check_dataset(own_dataset.folder))
     assert line.startswith("train-00002.h5: damaged")
 

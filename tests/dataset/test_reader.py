@@ -5,12 +5,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from tests.dataset.whole import flip_bit
 from xray_drake.dataset import reader as reader_module
 from xray_drake.dataset.augmentation import Augmentation
 from xray_drake.dataset.manifest import DatasetError
@@ -169,13 +169,8 @@ def _open_files(folder: Any) -> list[str]:
 
 
 def test_a_damaged_image_is_named(own_dataset: Any) -> None:
-    path = own_dataset.folder / "test-00001.h5"
-    data = bytearray(path.read_bytes())
     items = OccupancyDataset(own_dataset.folder)
-    with h5py.File(path) as file:
-        chunk = file["depth"].id.get_chunk_info(0)
-    data[chunk.byte_offset + chunk.size // 2] ^= 1
-    path.write_bytes(data)
+    flip_bit(own_dataset.folder / "test-00001.h5")
     items[0]
     with pytest.raises(ShardError, match=r"test-00001\.h5 is damaged"):
         items[9]

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from xray_drake.dataset.manifest import Manifest, write_manifest
@@ -42,6 +43,15 @@ def bare_sample(
         heap_seed=heap_seed,
         num_dropped=11,
     )
+
+
+def flip_bit(path: Path, image: int = 0) -> None:
+    """Changes a bit of a shard, in a depth image."""
+    data = bytearray(path.read_bytes())
+    with h5py.File(path) as file:
+        chunk = file["depth"].id.get_chunk_info(image)
+    data[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(data)
 
 
 def write_dataset(

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -9,11 +11,10 @@ from torch import Tensor
 from xray_drake.occupancy.metrics import PixelCounts
 from xray_drake.occupancy.metrics import pixel_counts as reference
 from xray_drake.training.losses import (
+    OccupancyMetrics,
     mse_loss,
-    pixel_counts,
     posterior_loss,
     robust_loss,
-    summary,
 )
 
 SHAPE = (3, 8, 10)
@@ -182,23 +183,21 @@ def test_pixels_are_counted_as_the_evaluation_does(
 ) -> None:
     if exact:
         output = label
-    counts = pixel_counts(torch.from_numpy(output), torch.from_numpy(label))
+    metrics = OccupancyMetrics()
+    for g, p in zip(label, output, strict=True):
+        metrics.update(torch.from_numpy(p)[None], torch.from_numpy(g)[None])
     expected = sum(
         (reference(g, p) for g, p in zip(label, output, strict=True)),
         PixelCounts(),
     )
-    assert counts.dtype == torch.float64
-    assert counts.tolist() == [
-        expected.tp,
-        expected.tn,
-        expected.positives,
-        expected.negatives,
-        expected.union,
-    ]
-    told = summary(counts)
+    assert metrics.counts.dtype == torch.float64
+    assert metrics.counts.tolist() == list(dataclasses.astuple(expected))
+    told = metrics.compute()
     assert set(told) == {"balanced_accuracy", "iou"}
     for name, value in told.items():
         assert value == pytest.approx(getattr(expected, name), nan_ok=True)
+    metrics.reset()
+    assert not metrics.counts.any()
 
 
 @pytest.mark.parametrize(
@@ -209,7 +208,8 @@ def test_what_is_not_defined_is_nan(
     value: float, balanced_accuracy: float, iou: float
 ) -> None:
     image = torch.full(SHAPE, value)
-    told = summary(pixel_counts(image, image))
+    metrics = OccupancyMetrics()
+    metrics.update(image, image)
     np.testing.assert_equal(
-        [told["balanced_accuracy"], told["iou"]], [balanced_accuracy, iou]
+        list(metrics.compute().values()), [balanced_accuracy, iou]
     )

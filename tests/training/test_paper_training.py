@@ -30,7 +30,7 @@ from xray_drake.training.config import (
     load_config,
 )
 from xray_drake.training.data import PassSampler
-from xray_drake.training.paper import PaperData, PaperTraining
+from xray_drake.training.paper import PaperTraining, input_mean, paper_data
 from xray_drake.training.prepare import (
     PrepareConfig,
     open_prepared,
@@ -298,9 +298,10 @@ def test_a_run_that_is_resumed_ends_as_one_that_is_not(
 
 def test_a_step_of_the_real_network(folder: Path) -> None:
     torch.manual_seed(0)
-    data = PaperData([folder], _config(), workers=0)
+    data = paper_data([folder], _config(), workers=0)
     net = FCNResNet50()
-    module = PaperTraining(net, _config(), 1, data.input_mean())
+    mean = input_mean(data.train_items, _config())
+    module = PaperTraining(net, _config(), 1, mean)
     module.log = lambda *args, **kwargs: None  # type: ignore[method-assign]
     optimizer = module.configure_optimizers()
     batch = next(iter(data.train_dataloader()))
@@ -322,11 +323,10 @@ def test_a_step_of_the_real_network(folder: Path) -> None:
 
 
 def test_the_mean_is_of_as_many_images_as_are_said(folder: Path) -> None:
-    every = PaperData([folder], _config(), workers=0).input_mean()
+    items = _items(folder, "train")
+    every = input_mean(items, _config())
     some = [
-        PaperData(
-            [folder], _config(input_mean_images=3, seed=seed), workers=0
-        ).input_mean()
+        input_mean(items, _config(input_mean_images=3, seed=seed))
         for seed in (1, 1, 2)
     ]
     assert torch.equal(some[0], some[1])
@@ -336,7 +336,7 @@ def test_the_mean_is_of_as_many_images_as_are_said(folder: Path) -> None:
 
 
 def test_heaps_are_on_one_side(folder: Path) -> None:
-    data = PaperData([folder, folder], _config(targets=[]), workers=0)
+    data = paper_data([folder, folder], _config(targets=[]), workers=0)
     sides = [
         {key.heap_seed for part in items.datasets for key in part.keys}
         for items in (data.train_items, data.validation_items)
@@ -359,12 +359,12 @@ def test_too_little_data(
     folder: Path, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(TrainingError, match=message):
-        PaperData([folder], _config(**changes), workers=0)
+        paper_data([folder], _config(**changes), workers=0)
 
 
 def test_image_and_label_are_flipped_together(folder: Path) -> None:
     config = _config(flips=True)
-    data = PaperData([folder], config, workers=0)
+    data = paper_data([folder], config, workers=0)
     batch = next(iter(data.train_dataloader()))
     batch["occupancy"] = batch["input"][:, :1]
     seen = []

@@ -32,8 +32,8 @@ from xray_drake.occupancy.learned.weights import (
     read_card,
 )
 from xray_drake.provenance import MANIFEST, ManifestError, read_runs
-from xray_drake.training import module
 from xray_drake.training.config import TrainConfig, TrainingError
+from xray_drake.training.losses import OccupancyMetrics
 from xray_drake.training.module import CompactTraining
 from xray_drake.training.prepare import PrepareConfig, plan, prepare_shard
 from xray_drake.training.run import CARD, CHECKPOINT, WEIGHTS, RunOptions, train
@@ -293,7 +293,7 @@ def worse_and_worse(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first epoch stays the best."""
     numbers = itertools.count(1)
     monkeypatch.setattr(
-        module, "summary", lambda counts: {"iou": 1.0 / next(numbers)}
+        OccupancyMetrics, "compute", lambda _: {"iou": 1.0 / next(numbers)}
     )
 
 

@@ -209,7 +209,7 @@ def test_pixels_beyond_the_windows_are_counted() -> None:
     training = _training(10).eval()
     with torch.no_grad():
         training.validation_step(_batch(batch=3), 0)
-    _, _, positives, negatives, union = training._counts.tolist()
+    _, _, positives, negatives, union = training.metrics.counts.tolist()
     labels = _batch(batch=3)[2]
     inside = int((labels[:, 0] > 25.5).sum())
     assert positives == inside + 30

@@ -1,7 +1,7 @@
 """What a network is trained on: items, batches, parts of passes."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any
 
@@ -108,19 +108,15 @@ class PassSampler(Sampler[int]):
         return self._per_epoch // self._devices
 
     def __iter__(self) -> Iterator[int]:
-        shared = len(self) * self._devices
-        return islice(self._order(), self._rank, shared, self._devices)
+        first, begin = divmod(self._epoch * self._per_epoch, self._items)
+        order = chain.from_iterable(map(self._pass, count(first)))
+        end = begin + len(self) * self._devices
+        return islice(order, begin + self._rank, end, self._devices)
 
-    def _order(self) -> Iterator[int]:
-        """Of the epoch's items, on all devices."""
-        begin = self._epoch * self._per_epoch
-        end = begin + self._per_epoch
-        for number in range(begin // self._items, -(-end // self._items)):
-            order = np.random.default_rng([self._seed, number]).permutation(
-                self._items
-            )
-            low, high = begin - number * self._items, end - number * self._items
-            yield from order[max(low, 0) : high].tolist()
+    def _pass(self, number: int) -> list[int]:
+        """Returns the items of a pass, on all devices."""
+        rng = np.random.default_rng([self._seed, number])
+        return rng.permutation(self._items).tolist()
 
 
 def steps_per_epoch(config: TrainConfig, devices: int) -> int:
@@ -179,13 +175,13 @@ class TrainingData(lightning.LightningDataModule):
         self.num_images = num_images
         self.num_train = length(train_items)
         self.num_validation = length(validation_items)
-        for name, count in (
+        for name, number in (
             ("to train on", self.num_train),
             ("held out for validation", self.num_validation),
         ):
-            if count < devices:
+            if number < devices:
                 raise TrainingError(
-                    f"{count or 'no'} sample is {name}, for {devices} "
+                    f"{number or 'no'} sample is {name}, for {devices} "
                     f"device{'s' * (devices > 1)}: give a larger dataset, or "
                     "other targets"
                 )
@@ -195,6 +191,11 @@ class TrainingData(lightning.LightningDataModule):
         """The trainer's epochs: parts of passes."""
         total = self._config.passes * self.num_train
         return max(1, round(total / self._items_per_epoch))
+
+    @property
+    def steps(self) -> int:
+        """The optimizer's steps, in all."""
+        return self.epochs * self.steps_per_epoch
 
     @property
     def steps_per_epoch(self) -> int:
@@ -256,37 +257,33 @@ class TrainingData(lightning.LightningDataModule):
         )
 
 
-class PreparedData(TrainingData):
-    """Batches of prepared files; see :data:`Batch`."""
+def prepared_data(
+    files: Sequence[Path],
+    config: TrainConfig,
+    *,
+    workers: int = 1,
+    devices: int = 1,
+) -> TrainingData:
+    """Returns batches of prepared files; see :data:`Batch`.
 
-    def __init__(
-        self,
-        files: Sequence[Path],
-        config: TrainConfig,
-        *,
-        workers: int = 1,
-        devices: int = 1,
-    ) -> None:
-        """Opens the files.
+    Args:
+        files: of :func:`xray_drake.training.prepare.prepare`.
+        config: chooses items and sizes of batches.
+        workers: processes that read.
+        devices: that share the items.
 
-        Args:
-            files: of :func:`xray_drake.training.prepare.prepare`.
-            config: chooses items and sizes of batches.
-            workers: processes that read.
-            devices: that share the items.
-
-        Raises:
-            TrainingError: nothing to train on, or to validate on.
-        """
-        train, validation = open_items(files, config)
-        super().__init__(
-            train,
-            validation,
-            config,
-            num_images=train.num_real + validation.num_real,
-            workers=workers,
-            devices=devices,
-        )
+    Raises:
+        TrainingError: nothing to train on, or to validate on.
+    """
+    train, validation = open_items(files, config)
+    return TrainingData(
+        train,
+        validation,
+        config,
+        num_images=train.num_real + validation.num_real,
+        workers=workers,
+        devices=devices,
+    )
 
 
 def open_items(

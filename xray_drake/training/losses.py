@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torchmetrics import Metric
 
 from xray_drake.occupancy.metrics import POSITIVE, TOLERANCE, PixelCounts
 
@@ -100,10 +101,52 @@ def pixel_counts(output: Tensor, label: Tensor) -> Tensor:
     ).double()
 
 
-def summary(counts: Tensor) -> dict[str, float]:
-    """Returns balanced accuracy and IoU of (5,) pooled counts."""
-    pooled = PixelCounts(*(int(count) for count in counts.tolist()))
-    return {
-        "balanced_accuracy": pooled.balanced_accuracy,
-        "iou": pooled.iou,
-    }
+class OccupancyMetrics(Metric):
+    """PROTOCOL.md's metrics, of the pixels of all images on all devices."""
+
+    full_state_update = False
+    counts: Tensor
+    mass: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, size in (("counts", 5), ("mass", 2)):
+            zeros = torch.zeros(size, dtype=torch.float64)
+            self.add_state(name, zeros, dist_reduce_fx="sum")
+
+    def update(
+        self,
+        output: Tensor,
+        label: Tensor,
+        shares: Tensor | None = None,
+        beyond: Tensor | None = None,
+    ) -> None:
+        """Counts a batch.
+
+        Args:
+            output: (B, h, w) in [0, 1], the answers.
+            label: (B, h, w) in [0, 1].
+            shares: (n,) of the posterior's mass that lie on the target.
+            beyond: (2,) pixels outside of the images whose label is positive,
+                and is not; the answer there is 0.
+        """
+        self.counts += pixel_counts(output, label)
+        if beyond is not None:
+            positive, negative = beyond.double()
+            zero = torch.zeros_like(positive)
+            self.counts += torch.stack(
+                [zero, negative, positive, negative, positive]
+            )
+        if shares is not None:
+            total = shares.double().sum()
+            self.mass += torch.stack([total, total.new_tensor(len(shares))])
+
+    def compute(self) -> dict[str, float]:
+        """Returns balanced accuracy, IoU, and where known the mass."""
+        pooled = PixelCounts(*(int(count) for count in self.counts.tolist()))
+        found = {
+            "balanced_accuracy": pooled.balanced_accuracy,
+            "iou": pooled.iou,
+        }
+        total, number = self.mass.tolist()
+        return found | ({"mass_on_target": total / number} if number else {})

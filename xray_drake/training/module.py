@@ -12,10 +12,9 @@ from xray_drake.occupancy.learned.build import channels_last
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import Batch
 from xray_drake.training.losses import (
-    pixel_counts,
+    OccupancyMetrics,
     posterior_loss,
     robust_loss,
-    summary,
 )
 
 
@@ -28,7 +27,7 @@ class OccupancyTraining(lightning.LightningModule):
         unused: keys of the configuration that decide nothing here.
     """
 
-    resolution = ""
+    resolution = "full resolution"
     unused: tuple[str, ...] = ()
 
     def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
@@ -41,6 +40,7 @@ class OccupancyTraining(lightning.LightningModule):
         """
         super().__init__()
         self.net = channels_last(net)
+        self.metrics = OccupancyMetrics()
         self._config = config
         self._steps = steps
 
@@ -64,6 +64,13 @@ class OccupancyTraining(lightning.LightningModule):
         )
         flips = torch.rand(2, generator=generator) < 0.5
         return [axis for axis, flip in zip((2, 3), flips, strict=True) if flip]
+
+    def on_validation_epoch_end(self) -> None:
+        """Logs what was counted, on all devices."""
+        for name, value in self.metrics.compute().items():
+            bar = name != "mass_on_target"
+            self.log(f"validation/{name}", value, prog_bar=bar)
+        self.metrics.reset()
 
     def configure_optimizers(self) -> Any:
         """Returns AdamW and its schedule, or SGD."""
@@ -98,41 +105,20 @@ class OccupancyTraining(lightning.LightningModule):
 class GeometryTraining(OccupancyTraining):
     """Trains networks of geometry and size; logs PROTOCOL.md's metrics."""
 
-    resolution = "full resolution"
     unused: tuple[str, ...] = ("label_scale", "input_mean_images", "backbone")
 
-    def __init__(self, net: nn.Module, config: TrainConfig, steps: int) -> None:
-        """Keeps what it is given.
-
-        Args:
-            net: to be trained.
-            config: of the run.
-            steps: of the optimizer, in all.
-        """
-        super().__init__(net, config, steps)
-        self._counts = torch.zeros(5, dtype=torch.float64)
-        self._mass = torch.zeros(2, dtype=torch.float64)  # sum, number
-
-    def on_validation_epoch_end(self) -> None:
-        """Logs what was counted, on all devices."""
-        gathered = self.all_gather(torch.cat([self._counts, self._mass]))
-        assert isinstance(gathered, Tensor)  # (7,), or (devices, 7)
-        total = gathered.reshape(-1, 7).sum(dim=0)
-        for name, value in summary(total[:5]).items():
-            self.log(f"validation/{name}", value, prog_bar=True)
-        if total[6] > 0:
-            self.log("validation/mass_on_target", total[5] / total[6])
-        self._counts.zero_()
-        self._mass.zero_()
-
-    def _count(self, output: Tensor, labels: Tensor, real: Tensor) -> None:
+    def _count(
+        self,
+        output: Tensor,
+        labels: Tensor,
+        real: Tensor,
+        beyond: Tensor | None = None,
+    ) -> None:
         """Adds the pixels of (B, 2, h, w) answers and labels."""
         label, amodal = (labels.float() / 255).unbind(dim=1)
         occupancy, posterior = torch.sigmoid(output.float()).unbind(dim=1)
-        self._counts += pixel_counts(occupancy, label).cpu()
         share = (posterior * amodal).sum(dim=(1, 2)) / posterior.sum(dim=(1, 2))
-        shares = share[real].double().cpu()
-        self._mass += torch.tensor([shares.sum(), len(shares)])
+        self.metrics.update(occupancy, label, share[real], beyond)
 
     def _loss(self, stage: str, batch: Batch) -> tuple[Tensor, Tensor]:
         fine, coarse, labels, sizes, real = batch

@@ -21,64 +21,61 @@ from xray_drake.dataset.reader import NoSampleError, OccupancyDataset
 from xray_drake.seeding import stream
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import TrainingData, length
-from xray_drake.training.losses import mse_loss, pixel_counts, summary
+from xray_drake.training.losses import mse_loss
 from xray_drake.training.module import OccupancyTraining
 
 
-class PaperData(TrainingData):
-    """Batches of :class:`OccupancyDataset`'s items, split by heaps.
+def paper_data(
+    datasets: Sequence[Path],
+    config: TrainConfig,
+    *,
+    workers: int = 1,
+    devices: int = 1,
+    incomplete: bool = False,
+) -> TrainingData:
+    """Returns batches of :class:`OccupancyDataset`'s items, split by heaps.
 
     The object splits of the datasets are not told apart.
+
+    Args:
+        datasets: folders.
+        config: chooses targets, the share held out and sizes of batches.
+        workers: processes that read; 0 reads in this one.
+        devices: that share the items.
+        incomplete: leave out shards that are missing.
+
+    Raises:
+        DatasetError: a dataset that cannot be read, or lacks a shard.
+        TrainingError: nothing to train on, or to validate on.
     """
+    train = _items(datasets, config, "train", incomplete)
+    validation = _items(datasets, config, "validation", incomplete)
+    return TrainingData(
+        train,
+        validation,
+        config,
+        num_images=length(train) + length(validation),
+        workers=workers,
+        devices=devices,
+    )
 
-    def __init__(
-        self,
-        datasets: Sequence[Path],
-        config: TrainConfig,
-        *,
-        workers: int = 1,
-        devices: int = 1,
-        incomplete: bool = False,
-    ) -> None:
-        """Reads what is in the datasets.
 
-        Args:
-            datasets: folders.
-            config: chooses targets, the share held out and sizes of batches.
-            workers: processes that read; 0 reads in this one.
-            devices: that share the items.
-            incomplete: leave out shards that are missing.
+def input_mean(items: Dataset[Any], config: TrainConfig) -> Tensor:
+    """Returns the (3,) mean of the channels over training images.
 
-        Raises:
-            DatasetError: a dataset that cannot be read, or lacks a shard.
-            TrainingError: nothing to train on, or to validate on.
-        """
-        train = _items(datasets, config, "train", incomplete)
-        validation = _items(datasets, config, "validation", incomplete)
-        super().__init__(
-            train,
-            validation,
-            config,
-            num_images=sum(map(length, (train, validation))),
-            workers=workers,
-            devices=devices,
-        )
-
-    def input_mean(self) -> Tensor:
-        """Returns the (3,) mean of the channels over training images.
-
-        Over ``config.input_mean_images`` of them, drawn by the seed; over all
-        if there are fewer.
-        """
-        rng = stream(self._config.seed, "input mean")
-        order = rng.permutation(self.num_train)
-        # In the order of the shards, so that each is opened once.
-        chosen = sorted(order[: self._config.input_mean_images].tolist())
-        total = torch.zeros(3, dtype=torch.float64)
-        for index in chosen:
-            image = self.train_items[index]["input"]  # (3, H, W)
-            total += image.double().mean(dim=(1, 2))
-        return total / len(chosen)
+    Args:
+        items: to train on.
+        config: of the run; ``input_mean_images`` are drawn by its seed, or all
+            are taken if there are fewer.
+    """
+    order = stream(config.seed, "input mean").permutation(length(items))
+    # In the order of the shards, so that each is opened once.
+    chosen = sorted(order[: config.input_mean_images].tolist())
+    total = torch.zeros(3, dtype=torch.float64)
+    for index in chosen:
+        image = items[index]["input"]  # (3, H, W)
+        total += image.double().mean(dim=(1, 2))
+    return total / len(chosen)
 
 
 class PaperTraining(OccupancyTraining):
@@ -92,7 +89,6 @@ class PaperTraining(OccupancyTraining):
         input_mean: (3,) float32; of the checkpoint if the run is resumed.
     """
 
-    resolution = "full resolution"
     unused = (
         "virtual",
         "posterior_weight",
@@ -102,7 +98,6 @@ class PaperTraining(OccupancyTraining):
         "freeze_norm",
     )
     input_mean: Tensor
-    _counts: Tensor
 
     def __init__(
         self,
@@ -117,13 +112,10 @@ class PaperTraining(OccupancyTraining):
             net: to be trained.
             config: of the run.
             steps: of the optimizer, in all.
-            input_mean: (3,), see :meth:`PaperData.input_mean`.
+            input_mean: (3,), see :func:`input_mean`.
         """
         super().__init__(net, config, steps)
         self.register_buffer("input_mean", input_mean.float())
-        self.register_buffer(
-            "_counts", torch.zeros(5, dtype=torch.float64), persistent=False
-        )
 
     def facts(self) -> dict[str, Any]:
         """Returns what a card says of the training, and inference needs."""
@@ -148,16 +140,7 @@ class PaperTraining(OccupancyTraining):
             sync_dist=True,
         )
         output = (answer / self._config.label_scale).clamp(0, 1)
-        self._counts += pixel_counts(output, label)
-
-    def on_validation_epoch_end(self) -> None:
-        """Logs what was counted, on all devices."""
-        gathered = self.all_gather(self._counts)
-        assert isinstance(gathered, Tensor)  # (5,), or (devices, 5)
-        counts = gathered.reshape(-1, 5).sum(dim=0)
-        for name, value in summary(counts).items():
-            self.log(f"validation/{name}", value, prog_bar=True)
-        self._counts.zero_()
+        self.metrics.update(output[:, 0], label[:, 0])
 
     def _answer(self, image: Tensor) -> Tensor:
         """Returns (B, 1, H, W) float32, in the unit of the scaled label."""

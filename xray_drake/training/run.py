@@ -26,12 +26,12 @@ from xray_drake.training.box import box_size
 from xray_drake.training.card import make_card, provenance
 from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.data import (
-    PreparedData,
     TrainingData,
+    prepared_data,
     steps_per_epoch,
 )
 from xray_drake.training.module import CompactTraining, OccupancyTraining
-from xray_drake.training.paper import PaperData, PaperTraining
+from xray_drake.training.paper import PaperTraining, input_mean, paper_data
 from xray_drake.training.prepare import plan, prepare
 from xray_drake.training.windows import WindowedData, WindowedTraining
 
@@ -135,7 +135,7 @@ def _train(
         begin_with(net, Path(config.weights))
     make = _MAKERS[config.architecture]
     module, data = make(net, datasets, config, options, prepared)
-    steps = _steps(data)
+    steps = data.steps
     try:
         trainer = _trainer(config, options, data.epochs, steps)
     except (MisconfigurationException, ValueError) as error:
@@ -188,9 +188,9 @@ def _make_geometry(
     files = [path for _, path in jobs]
     if isinstance(net, WindowedNet):
         windows = WindowedData(files, config, devices=options.devices)
-        return WindowedTraining(net, config, _steps(windows)), windows
-    data = PreparedData(files, config, devices=options.devices)
-    return CompactTraining(net, config, _steps(data)), data
+        return WindowedTraining(net, config, windows.steps), windows
+    data = prepared_data(files, config, devices=options.devices)
+    return CompactTraining(net, config, data.steps), data
 
 
 def _make_paper(
@@ -204,15 +204,15 @@ def _make_paper(
     # What is resumed has its weights in the checkpoint.
     if config.backbone and not options.resume:
         load_backbone(net, Path(config.backbone))
-    data = PaperData(
+    data = paper_data(
         datasets,
         config,
         workers=options.workers,
         devices=options.devices,
         incomplete=options.incomplete,
     )
-    steps = _steps(data)
-    return PaperTraining(net, config, steps, data.input_mean()), data
+    mean = input_mean(data.train_items, config)
+    return PaperTraining(net, config, data.steps, mean), data
 
 
 _MAKERS: Mapping[str, Callable[..., tuple[OccupancyTraining, TrainingData]]] = {
@@ -263,11 +263,6 @@ def _fit(
         except SystemExit:
             # So the trainer answers Ctrl-C.
             raise KeyboardInterrupt from None
-
-
-def _steps(data: TrainingData) -> int:
-    """Returns the optimizer's, in all."""
-    return data.epochs * data.steps_per_epoch
 
 
 def _open_run(

@@ -262,10 +262,7 @@ class WindowedTraining(GeometryTraining):
         _, output = self._loss(
             "validation", (fine, coarse, labels, sizes, real)
         )
-        self._count(output, labels, real)
-        positive, negative = outside.sum(dim=0).cpu()
-        beyond = [0, negative, positive, negative, positive]
-        self._counts += torch.tensor(beyond, dtype=torch.float64)
+        self._count(output, labels, real, outside.sum(dim=0))
 
 
 def _outside(label: np.ndarray, window: Window) -> Tensor:
