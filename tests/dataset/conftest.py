@@ -3,6 +3,7 @@
 import dataclasses
 import shutil
 from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -114,12 +115,9 @@ class SmallDataset:
 
     def write(self) -> None:
         write_manifest(self.folder, self.manifest)
-        start = 0
+        rest = iter(self.samples)
         for shard in self.manifest.expected_shards():
-            self.write_shard(
-                shard.name, self.samples[start : start + shard.count]
-            )
-            start += shard.count
+            self.write_shard(shard.name, [*islice(rest, shard.count)])
 
     def write_shard(
         self, name: str, samples: Sequence[Sample], **changes: Any

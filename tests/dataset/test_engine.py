@@ -83,14 +83,6 @@ def test_only_what_is_missing_or_damaged_is_made_again(made: Path) -> None:
         second.write_bytes(kept)
 
 
-def test_what_a_living_process_writes_is_left_alone(tmp_path: Path) -> None:
-    open_dataset(tmp_path, small(), resume=False)
-    part = tmp_path / f".train-00000.h5.{os.getppid()}.part"
-    part.write_bytes(b"half a shard")
-    open_dataset(tmp_path, small(), resume=True)
-    assert part.is_file()
-
-
 def test_a_folder_that_is_something_else(made: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="give --resume"):
         open_dataset(made, small(), resume=False)

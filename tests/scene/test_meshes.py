@@ -243,7 +243,7 @@ def test_an_open_surface_is_skipped(folder, caplog):
     check_skipped(folder, caplog, "tray.stl", "not closed: filling its holes")
 
 
-def trouble(paths, settings, cache, index, send):
+def trouble(paths, settings, cache, index):
     """Prepares a mesh; native code does to some of them what it may do."""
     match paths[index].stem:
         case "crash":
@@ -256,7 +256,7 @@ def trouble(paths, settings, cache, index, send):
             sys.exit("Failure at qhull.cc:1: condition 'x'\n failed.")
         case "fault":
             np.zeros(3) + np.zeros(4)
-    send(prepare_cached(paths[index], settings, cache))
+    return prepare_cached(paths[index], settings, cache)
 
 
 @pytest.fixture

@@ -104,15 +104,6 @@ def test_what_is_packed_is_unpacked_bit_for_bit(item: Item) -> None:
 
 @given(images=_images())
 @settings(deadline=None, max_examples=100)
-def test_what_was_made_is_packed_bit_for_bit(
-    images: tuple[GeometryInput, np.ndarray, np.ndarray],
-) -> None:
-    item = make_item(*images)
-    assert _same(item, unpack(pack(item), item.fine.shape[1:]))
-
-
-@given(images=_images())
-@settings(deadline=None, max_examples=100)
 def test_rounding_is_to_the_nearest_level(
     images: tuple[GeometryInput, np.ndarray, np.ndarray],
 ) -> None:
@@ -123,6 +114,7 @@ def test_rounding_is_to_the_nearest_level(
         (fine, coarse, occupancy, amodal), before, strict=True
     ):
         np.testing.assert_array_equal(image, other)
+    assert _same(item, unpack(pack(item), item.fine.shape[1:]))
     assert item.fine.shape == fine.shape
     assert item.coarse.shape == coarse.shape
     assert item.labels.shape == (2, *occupancy.shape)
@@ -211,16 +203,6 @@ def test_no_damage_makes_another_item(place: int, bit: int) -> None:
         return
     # A bit that stands for nothing.
     assert _same(item, found)
-
-
-def test_a_byte_that_was_changed_is_noticed() -> None:
-    data = pack(_random())
-    assert len(data) > 100
-    for place in range(len(data)):
-        damaged = bytearray(data)
-        damaged[place] ^= 0xFF
-        with pytest.raises(zlib.error):
-            unpack(bytes(damaged), (12, 16))
 
 
 def test_what_is_mostly_empty_is_small() -> None:

@@ -466,45 +466,6 @@ def test_no_backbone(
     assert torch.equal(net.conv1.weight, before)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("label_scale: 0", "label_scale is 0: it must be above 0"),
-        ("label_scale: .nan", "label_scale is nan: it must be above 0"),
-        ("label_scale: 255", "compact takes the label_scale 1.0, not 255.0"),
-        (
-            "backbone: a.safetensors",
-            r"compact takes the backbone '', not .*a\.safetensors",
-        ),
-        ("loss: mse", "compact takes the loss robust, not mse"),
-        ("input_mean_images: 0", "input_mean_images is 0: it must be from 1"),
-        ("input_mean_images: many", "input_mean_images"),
-        ("items_per_epoch: 3", "items_per_epoch is 3, less than"),
-        ("label_scales: 255", "label_scales"),
-        ("architecture: fcn_resnet50", "takes the input augmented_depth"),
-        (
-            "{architecture: fcn_resnet50, input: augmented_depth}",
-            "fcn_resnet50 takes the loss mse, not robust",
-        ),
-        (
-            "{architecture: fcn_resnet50, input: augmented_depth, loss: mse}",
-            "fcn_resnet50 takes the virtual False, not True",
-        ),
-        ("prepare: {virtual_size: [0.1, 0.1]}", "0 or 3 numbers, not 2"),
-        ("prepare: {virtual_size: [0.1, 0.1, 0]}", "each must be above 0"),
-        ("targets: [box_2to1]", "no virtual targets of other sizes"),
-    ],
-)
-def test_configurations_that_are_wrong(
-    text: str, message: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(text)
-    with pytest.raises(TrainingError, match=message) as error:
-        load_config(str(path))
-    assert str(path) in str(error.value)
-
-
 @pytest.mark.parametrize("ratio", [1, 2, 5, 10])
 def test_the_networks_of_a_box(ratio: int) -> None:
     config = load_config(f"compact_{ratio}to1")

@@ -1,6 +1,5 @@
 import dataclasses
 import os
-import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,8 @@ from xray_drake.dataset.manifest import (
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.shards import (
-    ForeignShardError,
     ShardError,
-    ShardReader,
     read_shard,
-    write_shard,
 )
 from xray_drake.dataset.virtual import is_virtual
 from xray_drake.files import InUseError, sole_writer
@@ -270,20 +266,6 @@ def test_no_virtual_items_are_made_if_none_are_wanted(
     assert open_prepared(path).real.tolist() == [True] * 4
 
 
-def test_an_item_does_not_depend_on_the_order_of_unpacking(
-    prepared: Path,
-) -> None:
-    items = open_prepared(prepared)
-    count = len(items.ends)
-    forth = [items.item(row) for row in range(count)]
-    back = [items.item(row) for row in reversed(range(count))][::-1]
-    for one, other in zip(forth, back, strict=True):
-        for name, image in _named(one).items():
-            np.testing.assert_array_equal(image, _named(other)[name])
-    labels = {item.labels.tobytes() for item in forth}
-    assert len(labels) == count
-
-
 def test_a_damaged_file_is_not_opened(prepared: Path, tmp_path: Path) -> None:
     data = prepared.read_bytes()
     path = tmp_path / "items.npz"
@@ -504,21 +486,6 @@ def test_processes_make_the_same_items(dataset: Path, tmp_path: Path) -> None:
     path = tmp_path / "here.npz"
     prepare_shard(dataset / "train-00000.h5", path, PrepareConfig(), SHARE)
     assert files[0].read_bytes() == path.read_bytes()
-
-
-@pytest.mark.parametrize(
-    "change", [{"dataset": "0123"}, {"split": "test"}, {"index": 7}]
-)
-def test_a_shard_that_does_not_belong_is_refused(
-    dataset: Path, tmp_path: Path, change: dict[str, Any]
-) -> None:
-    folder = shutil.copytree(dataset, tmp_path / "dataset")
-    path = folder / "train-00001.h5"
-    with ShardReader(path) as shard:
-        attributes = dataclasses.replace(shard.attributes, **change)
-    write_shard(path, read_shard(path), attributes)
-    with pytest.raises(ForeignShardError, match=r"train-00001\.h5"):
-        plan([folder], tmp_path, EXACT, SHARE)
 
 
 def test_items_have_one_writer(

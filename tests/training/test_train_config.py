@@ -61,22 +61,11 @@ def test_what_is_not_given_is_the_default(path: Path) -> None:
     ("text", "words"),
     [
         ("pases: 3", "unknown key pases; did you mean passes"),
-        ("prepare: {nois: 1}", "unknown key prepare.nois"),
         ("prepare: {noise: {sigmas: 1}}", "unknown key prepare.noise.sigmas"),
         ("passes: many", "passes is 'many': it must be a number"),
-        ("passes: true", "passes is True: it must be a number"),
-        ("passes: '3'", "passes is '3': it must be a number"),
-        ("batch_size: 1.5", "batch_size is 1.5: it must be a whole number"),
-        ("batch_size: true", "batch_size is True: it must be a whole number"),
-        ("virtual: maybe", "virtual is 'maybe': it must be true or false"),
-        ("virtual: 1", "virtual is 1: it must be true or false"),
-        ("name: 3", "name is 3: it must be text"),
-        ("targets: lid", "targets is 'lid': it must be a list"),
-        ("targets: [3]", r"targets\[0\] is 3: it must be text"),
-        ("options: 5", "options is 5: it must be keys and values"),
-        ("passes: null", "passes is None: it must be a number"),
-        ("prepare: 3", "prepare is 3: it must be keys and values"),
         ("prepare: null", "prepare is None: it must be keys and values"),
+        ("name: a\nname: b", "the key 'name' stands twice"),
+        ("- name: mine", "top level must be keys and values, not list"),
         (
             "prepare: {labels: known}",
             "prepare.labels is 'known': choose one of given, expected",
@@ -86,23 +75,12 @@ def test_what_is_not_given_is_the_default(path: Path) -> None:
         ("optimizer: adam", "optimizer is 'adam': choose one of adamw, sgd"),
         ("loss: l1", "loss is 'l1': choose one of robust, mse"),
         ("precision: half", "precision is 'half': choose one of 32-true"),
-        ("input: augmented_depth", "compact takes the input geometry"),
-        ("architecture: fcn_resnet50", "takes the input augmented_depth"),
         ("passes: 0", "passes is 0: it must be above 0"),
-        ("items_per_epoch: -1", "items_per_epoch is -1: it must be from 1"),
-        ("batch_size: 0", "batch_size is 0: it must be from 1"),
-        ("learning_rate: -0.1", "learning_rate is -0.1: it must be above 0"),
-        ("learning_rate: .nan", "learning_rate is nan: it must be above 0"),
+        ("passes: .inf", "passes is inf: it must be above 0"),
         ("learning_rate: 1e400", "learning_rate is inf: it must be above 0"),
-        ("validation_share: 0", "validation_share is 0: it must be above 0"),
         ("validation_share: 1.0", "validation_share is 1.0: .* below 1"),
-        ("momentum: 1", "momentum is 1: it must be at least 0 and below 1"),
-        ("warmup: 2", "warmup is 2: it must be from 0 to 1"),
-        ("miss_weight: -1", "miss_weight is -1: it must be from 0"),
-        ("seed: -1", "seed is -1: it must be from 0"),
         ("seed: 4294967296", "seed is 4294967296: .* to 4294967295"),
-        ("prepare: {noisy: 1.5}", "prepare.noisy is 1.5: it must be from 0"),
-        ("prepare: {virtual: -1}", "prepare.virtual is -1: it must be from 0"),
+        ("label_scale: 0", "label_scale is 0: it must be above 0"),
         (
             "prepare: {noise: {sigma: .nan}}",
             "prepare.noise.sigma is nan: it must be from 0",
@@ -111,24 +89,30 @@ def test_what_is_not_given_is_the_default(path: Path) -> None:
             "prepare: {virtual_size: [0.1, 0.1]}",
             "prepare.virtual_size is .*: it must be 0 or 3 numbers, not 2",
         ),
-        (
-            "prepare: {virtual_size: [0.1, 0.1, 0]}",
-            "prepare.virtual_size is .*: each must be above 0",
-        ),
         ("items_per_epoch: 8\nbatch_size: 9", "items_per_epoch is 8, less"),
-        ("name: [", "mine.yaml"),
-        ("name: a\nname: b", "the key 'name' stands twice"),
-        ("5", "top level must be keys and values, not int"),
+        # What an architecture leaves no choice of.
+        ("input: augmented_depth", "compact takes the input geometry"),
+        ("label_scale: 255", "compact takes the label_scale 1.0, not 255.0"),
+        (
+            "backbone: a.safetensors",
+            r"compact takes the backbone '', not .*a\.safetensors",
+        ),
+        ("loss: mse", "compact takes the loss robust, not mse"),
+        ("architecture: fcn_resnet50", "takes the input augmented_depth"),
+        (
+            "{architecture: fcn_resnet50, input: augmented_depth}",
+            "fcn_resnet50 takes the loss mse, not robust",
+        ),
+        (
+            "{architecture: fcn_resnet50, input: augmented_depth, loss: mse}",
+            "fcn_resnet50 takes the virtual False, not True",
+        ),
+        ("targets: [box_2to1]", "no virtual targets of other sizes"),
     ],
 )
 def test_what_is_wrong_is_one_line(path: Path, text: str, words: str) -> None:
     path.write_text(text + "\n")
     assert re.search(words, message(path))
-
-
-def test_a_list_is_no_configuration(path: Path) -> None:
-    path.write_text("- name: mine\n")
-    message(path)
 
 
 def test_paths_are_relative_to_the_file(path: Path) -> None:
@@ -138,12 +122,6 @@ def test_paths_are_relative_to_the_file(path: Path) -> None:
     assert load_config(str(path)).weights == "/a.safetensors"
     path.write_text("")
     assert load_config(str(path)).weights == ""
-
-
-@pytest.mark.parametrize("key", ["passes", "learning_rate"])
-def test_nothing_is_infinite(path: Path, key: str) -> None:
-    path.write_text(f"{key}: .inf\n")
-    assert key in message(path)
 
 
 def test_what_is_no_text_is_one_line(path: Path) -> None:

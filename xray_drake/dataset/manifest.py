@@ -43,8 +43,8 @@ class ExpectedShard:
 
     @property
     def name(self) -> str:
-        """Its file's name."""
-        return shard_name(self.split, self.index)
+        """Its file's name, e.g. ``train-00012.h5``."""
+        return f"{self.split}-{self.index:05d}.h5"
 
 
 @dataclass(frozen=True)
@@ -137,11 +137,6 @@ class Manifest:
     def fingerprint(self) -> str:
         """Returns 16 hex digits that tell datasets apart; shards carry it."""
         return _fingerprint(self.to_dict())
-
-
-def shard_name(split: str, index: int) -> str:
-    """Returns the name of a shard's file, e.g. ``train-00012.h5``."""
-    return f"{split}-{index:05d}.h5"
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:

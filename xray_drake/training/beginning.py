@@ -64,30 +64,26 @@ def load_backbone(net: nn.Module, path: Path) -> None:
         raise WeightsError(
             f"no backbone can be read from {path}: {error}; give {_WANTED}"
         ) from error
-    own = net.state_dict()
     found = {
         name: tensor
         for name, tensor in state.items()
         if not name.startswith(_FOREIGN_HEAD)
     }
-    needed = {
-        name
-        for name in own
-        if not name.startswith(_HEAD) and not name.endswith(_COUNTERS)
+    own = {
+        name: tuple(tensor.shape)
+        for name, tensor in net.state_dict().items()
+        if not name.startswith(_HEAD)
     }
-    for name in sorted(needed - found.keys()):
-        raise _misfit(path, f"it lacks {name}")
-    for name, tensor in found.items():
-        if name not in own or name.startswith(_HEAD):
-            raise _misfit(path, f"it has {name}")
-        if tensor.shape != own[name].shape:
-            raise _misfit(
-                path,
-                f"{name} is {tuple(tensor.shape)}, not "
-                f"{tuple(own[name].shape)}",
-            )
+    for name in sorted(own.keys() | found.keys()):
+        if name not in found:
+            if name.endswith(_COUNTERS):
+                continue
+            why = f"it lacks {name}"
+        elif name not in own:
+            why = f"it has {name}"
+        elif (shape := tuple(found[name].shape)) != own[name]:
+            why = f"{name} is {shape}, not {own[name]}"
+        else:
+            continue
+        raise WeightsError(f"{path} is no backbone: {why}; give {_WANTED}")
     net.load_state_dict(found, strict=False)
-
-
-def _misfit(path: Path, why: str) -> WeightsError:
-    return WeightsError(f"{path} is no backbone: {why}; give {_WANTED}")

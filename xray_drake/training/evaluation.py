@@ -15,7 +15,7 @@ that in one product for all metrics, and the same draws serve every predictor.
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
@@ -164,27 +164,17 @@ class Summary:
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the summary as strict JSON takes it, undefined as null."""
-        estimates = {
-            f.name: asdict(getattr(self, f.name))
-            for f in fields(self)
-            if f.type is Estimate
-        }
         calibration = self.calibration
         return _strict(
             {
-                "images": self.images,
-                "heaps": self.heaps,
-                "counts": asdict(self.counts),
-                **estimates,
+                **asdict(self),
                 "expected_calibration_error": (
                     calibration.expected_calibration_error
                 ),
                 "calibration": {
-                    "pixels": calibration.pixels.tolist(),
-                    "predicted": calibration.predicted.tolist(),
-                    "observed": calibration.observed.tolist(),
+                    name: getattr(calibration, name).tolist()
+                    for name in ("pixels", "predicted", "observed")
                 },
-                "seconds": self.seconds,
             }
         )
 
@@ -204,6 +194,17 @@ class Evaluation:
     overall: Summary
     by_visibility: Mapping[Visibility, Summary]
     by_target: Mapping[str, Summary]
+
+    def parts(self) -> dict[str, Summary]:
+        """Returns what a table has rows of, by its name there."""
+        return {
+            "all": self.overall,
+            **{
+                part.value.replace("_", " "): summary
+                for part, summary in self.by_visibility.items()
+            },
+            **(self.by_target if len(self.by_target) > 1 else {}),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Returns everything as strict JSON takes it, undefined as null."""
@@ -321,8 +322,10 @@ def markdown_table(results: Mapping[str, Evaluation]) -> str:
         "mean IoU | mass on target | target held | ECE | Brier | ms |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for part, summaries in _parts(results).items():
-        for name, s in summaries.items():
+    parts = {name: result.parts() for name, result in results.items()}
+    for part in next(iter(parts.values()), {}):
+        for name, summaries in parts.items():
+            s = summaries[part]
             error = s.calibration.expected_calibration_error
             cells = [
                 f"{part}, {s.images}",
@@ -339,30 +342,6 @@ def markdown_table(results: Mapping[str, Evaluation]) -> str:
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
-
-
-def _parts(
-    results: Mapping[str, Evaluation],
-) -> dict[str, dict[str, Summary]]:
-    """Returns summaries by part of the images, then by predictor."""
-    parts = {"all": {name: e.overall for name, e in results.items()}}
-    for part in Visibility:
-        found = {
-            name: e.by_visibility[part]
-            for name, e in results.items()
-            if part in e.by_visibility
-        }
-        if found:
-            parts[part.value.replace("_", " ")] = found
-    targets = dict.fromkeys(t for e in results.values() for t in e.by_target)
-    if len(targets) > 1:
-        for target in targets:
-            parts[target] = {
-                name: e.by_target[target]
-                for name, e in results.items()
-                if target in e.by_target
-            }
-    return parts
 
 
 def _number(value: float, form: str) -> str:
@@ -459,17 +438,10 @@ def _statistics(sums: np.ndarray) -> dict[str, np.ndarray]:
     with np.errstate(invalid="ignore"):
         ratios = sums[..., 0] / sums[..., 1]
     positive, negative, *others = np.moveaxis(ratios, -1, 0)
-    names = (
-        "iou",
-        "mean_balanced_accuracy",
-        "mean_iou",
-        "target_mass",
-        "containment",
-        "brier_score",
-    )
+    names = "iou mean_balanced_accuracy mean_iou target_mass containment"
     return {
         "balanced_accuracy": (positive + negative) / 2,
-        **dict(zip(names, others, strict=True)),
+        **dict(zip([*names.split(), "brier_score"], others, strict=True)),
     }
 
 
