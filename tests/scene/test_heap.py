@@ -409,12 +409,9 @@ def test_a_flat_target_draws_from_no_other_stream(
 
 def test_a_tall_target_falls_in_its_resting_poses() -> None:
     mug = target_model("mug")
-    drop = module._Drop(
-        mug, OBJECTS[:1], stream(0, "heap", 1), HeapConfig(), None, None, None
-    )
     poses = resting_poses(mug.visual, mug.p_OCom)
-    drawn = [drop._lying(seed, 1).matrix() for seed in range(300)]
-    assert np.array_equal(drop._lying(5, 1).matrix(), drawn[5])
+    drawn = [module._lying(mug, seed, 1).matrix() for seed in range(300)]
+    assert np.array_equal(module._lying(mug, 5, 1).matrix(), drawn[5])
     share = [
         np.mean([np.allclose(R, pose.R_WO, atol=1e-9) for R in drawn])
         for pose in poses

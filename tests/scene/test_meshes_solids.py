@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from xray_drake.scene.meshes import import_meshes, load_meshes
 from xray_drake.scene.meshes.closing import closed_solid
-from xray_drake.scene.meshes.reading import LARGEST
+from xray_drake.scene.meshes.prepare import LARGEST
 from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y
 
 

@@ -18,8 +18,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.sensors import CameraInfo
 
 from xray_drake.scene.meshes import import_meshes, load_meshes
-from xray_drake.scene.meshes.textured import drake_mesh
 from xray_drake.scene.meshes.textures import (
+    drake_mesh,
     hue_shifted,
     is_red,
     mean_color,

@@ -16,7 +16,7 @@ from scipy.stats import truncnorm
 from xray_drake.choices import TALL_TARGETS
 from xray_drake.configuration import choice, count, number
 from xray_drake.faults import BREAKDOWNS
-from xray_drake.geometry.resting import RestingPose, lean, resting_poses
+from xray_drake.geometry.resting import lean, resting_poses
 from xray_drake.geometry.tilt import tilt
 from xray_drake.scene.contact import ContactConfig, angular_damping
 from xray_drake.scene.object_model import ObjectModel
@@ -28,7 +28,7 @@ from xray_drake.scene.plant import (
     default_plant_config,
     inside_bin,
 )
-from xray_drake.scene.rest import box_corners
+from xray_drake.scene.rest import box_corners, topples
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.seeding import stream
 
@@ -46,16 +46,12 @@ _SNAPSHOT_ROUND = 0.1
 _LOOKS = 3
 """How often a heap is looked at within a round of the test for rest."""
 
-_NOISE = 1e-4
-"""m. What moves less between two looks is not toppling."""
-
 _CALM_RATE = 20.0
 """1/s, at which a calmed body loses speed."""
 
 _DOZE_TIME = 1.0
 _DOZE_STEP = 0.05
 """s. A heap is given so long to fall asleep, looked at so often."""
-
 
 ARRANGEMENTS = ("one_by_one", "dump")
 
@@ -153,7 +149,8 @@ class Heap:
         """
         X_WT = self.poses[self.target.name]
         if self.target.name in TALL_TARGETS:
-            return lean(_resting_poses(self.target), X_WT)
+            poses = resting_poses(self.target.visual, self.target.p_OCom)
+            return lean(poses, X_WT)
         return tilt(X_WT)
 
     @property
@@ -218,12 +215,11 @@ def drop_heap(
         )
     failures: list[str] = []
     for attempt in range(1, config.max_attempts + 1):
-        rng = stream(seed, "heap", attempt)
         try:
             drop = _Drop(
-                target, objects, rng, config, contact, plant_config, progress
+                target, objects, config, contact, plant_config, progress
             )
-            heap = drop.run(seed, attempt, frozenset(snapshots))
+            heap = drop.run(seed, attempt, snapshots)
             return replace(heap, failures=tuple(failures))
         except HeapError as error:
             failures.append(
@@ -243,7 +239,6 @@ class _Drop:
         self,
         target: ObjectModel,
         objects: Sequence[ObjectModel],
-        rng: np.random.Generator,
         config: HeapConfig,
         contact: ContactConfig | None,
         plant_config: MultibodyPlantConfig | None,
@@ -251,7 +246,6 @@ class _Drop:
     ) -> None:
         self._config = config
         self._contact = contact or ContactConfig()
-        self._rng = rng
         self._progress = progress or (lambda share: None)
         builder = DiagramBuilder()
         plant, scene_graph = add_plant(
@@ -272,13 +266,14 @@ class _Drop:
         if config.sleep:
             self._simulator.set_monitor(self._sleep)
 
-    def run(self, seed: int, attempt: int, snapshots: frozenset[int]) -> Heap:
-        config, rng = self._config, self._rng
+    def run(self, seed: int, attempt: int, snapshots: Collection[int]) -> Heap:
+        config = self._config
+        rng = self._rng = stream(seed, "heap", attempt)
         for item in self._all:
             self._park(item)
         center = rng.uniform(-config.center_range, config.center_range, 2)
         yaw = RollPitchYaw(0, 0, rng.uniform(0, 2 * np.pi)).ToRotationMatrix()
-        R = yaw @ self._lying(seed, attempt)
+        R = yaw @ _lying(self._target.model, seed, attempt)
         self._release(
             self._target, R, center + self._offset(), config.target_height
         )
@@ -296,25 +291,10 @@ class _Drop:
         heap = self._result(seed, attempt, len(self._others))
         return replace(heap, growth=tuple(growth))
 
-    def _lying(self, seed: int, attempt: int) -> RotationMatrix:
-        """Returns how the target lies; all but yaw.
-
-        From a stream of its own, so that flat targets' heaps do not depend
-        on it.
-        """
-        model = self._target.model
-        if model.name not in TALL_TARGETS:
-            return RotationMatrix.Identity()
-        poses = _resting_poses(model)
-        rng = stream(seed, "resting pose", attempt)
-        chosen = rng.choice(len(poses), p=[pose.probability for pose in poses])
-        return RotationMatrix.ProjectToRotationMatrix(poses[chosen].R_WO)
-
     def _drop_one(self, item: PlantObject, center: np.ndarray) -> None:
         config = self._config
-        height = max(
-            config.drop_height, self._heap_top() + config.heap_clearance
-        )
+        above = self._heap_top() + config.heap_clearance
+        height = max(config.drop_height, above)
         R = _random_rotation(self._rng)
         self._release(item, R, center + self._offset(), height)
         self._advance(config.drop_period)
@@ -347,13 +327,8 @@ class _Drop:
     def _offset(self) -> np.ndarray:
         config = self._config
         limit = config.offset_limit / config.offset_sigma
-        return truncnorm.rvs(
-            -limit,
-            limit,
-            scale=config.offset_sigma,
-            size=2,
-            random_state=self._rng,
-        )
+        drawn = truncnorm(-limit, limit, scale=config.offset_sigma)
+        return drawn.rvs(size=2, random_state=self._rng)
 
     def _park(self, item: PlantObject) -> None:
         """Locks an object far away, at rest, where it costs nothing."""
@@ -421,12 +396,10 @@ class _Drop:
                 looks = []
             looks = [*looks[-_LOOKS:], self._corners()]
             moved = np.linalg.norm(looks[-1] - np.array(looks), axis=-1)
-            still = float(moved.max()) <= (
-                config.rest_motion
-                if self._root.get_time() < late
-                else config.late_motion
-            )
-            if still and len(looks) > _LOOKS and not _topples(looks):
+            in_time = self._root.get_time() < late
+            allowed = config.rest_motion if in_time else config.late_motion
+            still = float(moved.max()) <= allowed
+            if still and len(looks) > _LOOKS and not topples(looks):
                 return
             if not still:
                 looks = looks[-1:]
@@ -448,10 +421,8 @@ class _Drop:
         """Damps rotation ``factor`` times as usual, and speed at ``rate``."""
         for item in self._all:
             turn = angular_damping(item.model, self._contact) * factor
-            shift = item.model.mass * rate
-            item.joint.SetDampingVector(
-                self._context, np.repeat([turn, shift], 3)
-            )
+            damping = np.repeat([turn, item.model.mass * rate], 3)
+            item.joint.SetDampingVector(self._context, damping)
 
     def _doze(self, deadline: float) -> None:
         """Lets all fall asleep, then wakes them.
@@ -468,26 +439,20 @@ class _Drop:
         self._simulator.clear_monitor()
         self._sleep.wake(self._root, [item.name for item in self._dropped()])
 
-    def _moved(self, duration: float) -> float:
-        """Advances; returns how far any point of a body went at most, m."""
-        before = self._corners()
-        self._advance(duration)
-        moved = np.linalg.norm(self._corners() - before, axis=-1)
-        return float(moved.max(initial=0.0))
-
     def _corners(self) -> np.ndarray:
+        items = self._dropped()
         return np.concatenate(
-            [
-                box_corners(item.model, self._pose(item))
-                for item in self._dropped()
-            ]
+            [box_corners(item.model, self._pose(item)) for item in items]
         )
 
     def _snapshot(self, seed: int, attempt: int, count: int) -> Heap:
         config = self._config
         deadline = self._root.get_time() + config.snapshot_timeout
         while self._root.get_time() < deadline:
-            if self._moved(_SNAPSHOT_ROUND) <= config.snapshot_motion:
+            before = self._corners()
+            self._advance(_SNAPSHOT_ROUND)
+            moved = np.linalg.norm(self._corners() - before, axis=-1)
+            if moved.max() <= config.snapshot_motion:
                 break
         self._remove_outside()
         return self._result(seed, attempt, count)
@@ -507,15 +472,13 @@ class _Drop:
         return removed
 
     def _result(self, seed: int, attempt: int, num_dropped: int) -> Heap:
-        inside = [item for item in self._others if item in self._dropped()]
+        inside = [i for i in self._dropped() if i is not self._target]
         if not inside:
             raise HeapError("all objects fell outside the bin")
         return Heap(
             target=self._target.model,
             objects=tuple(item.model for item in inside),
-            poses={
-                item.name: self._pose(item) for item in [self._target, *inside]
-            },
+            poses={i.name: self._pose(i) for i in [self._target, *inside]},
             seed=seed,
             num_dropped=num_dropped,
             attempts=attempt,
@@ -523,19 +486,14 @@ class _Drop:
         )
 
 
-def _resting_poses(model: ObjectModel) -> tuple[RestingPose, ...]:
-    return resting_poses(model.visual, model.p_OCom)
-
-
-def _topples(looks: list[np.ndarray]) -> bool:
-    """Says whether a body moves ever faster, as what begins to topple does.
-
-    Args:
-        looks: points fixed to the bodies, (n, 3) m each, at equal intervals.
-    """
-    first = np.linalg.norm(looks[1] - looks[0], axis=-1)
-    last = np.linalg.norm(looks[-1] - looks[-2], axis=-1)
-    return bool(((last > _NOISE) & (last > 1.5 * first)).any())
+def _lying(target: ObjectModel, seed: int, attempt: int) -> RotationMatrix:
+    """Draws how a target lies, all but yaw; flat ones draw nothing."""
+    if target.name not in TALL_TARGETS:
+        return RotationMatrix.Identity()
+    poses = resting_poses(target.visual, target.p_OCom)
+    rng = stream(seed, "resting pose", attempt)
+    chosen = rng.choice(len(poses), p=[pose.probability for pose in poses])
+    return RotationMatrix.ProjectToRotationMatrix(poses[chosen].R_WO)
 
 
 def _random_rotation(rng: np.random.Generator) -> RotationMatrix:

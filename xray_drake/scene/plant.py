@@ -45,7 +45,7 @@ from xray_drake.scene.contact import (
     angular_damping,
     hydroelastic_modulus,
 )
-from xray_drake.scene.meshes.textured import drake_mesh
+from xray_drake.scene.meshes.textures import drake_mesh
 from xray_drake.scene.object_model import ObjectModel, shaded
 from xray_drake.scene.parsing import configure_parser
 

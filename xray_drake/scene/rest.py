@@ -1,6 +1,6 @@
 """Tells whether bodies rest."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,9 @@ from xray_drake.scene.object_model import ObjectModel
 
 _FALLEN = -0.05
 """What is deeper than this has left the cell and falls on, m."""
+
+_NOISE = 1e-4
+"""m. What moves less between two looks is not toppling."""
 
 
 def box_corners(model: ObjectModel, X_WO: np.ndarray) -> np.ndarray:
@@ -83,3 +86,14 @@ class RestTest(Message):
         else:
             at_rest = False
         return RestTest(self.motion, self.round_time, time, points, at_rest)
+
+
+def topples(looks: Sequence[np.ndarray]) -> bool:
+    """Says whether a body moves ever faster, as what begins to topple does.
+
+    Args:
+        looks: points fixed to the bodies, (n, 3) m each, at equal intervals.
+    """
+    first = np.linalg.norm(looks[1] - looks[0], axis=-1)
+    last = np.linalg.norm(looks[-1] - looks[-2], axis=-1)
+    return bool(((last > _NOISE) & (last > 1.5 * first)).any())

@@ -112,6 +112,34 @@ def box(
     return Solid((mesh,), (np.array(mesh.vertices),))
 
 
+def slab(
+    length: float, width: float, height: float, x: float = 0, y: float = 0
+) -> Solid:
+    """Returns a box that stands on z = 0, its middle at (x, y), m."""
+    return box(length, width, height, (x, y, height / 2))
+
+
+def taper(
+    start: float, near: float, end: float, far: float, height: float
+) -> Solid:
+    """Returns a bar along x on z = 0 that gets wider or narrower.
+
+    Args:
+        start: x of the one end, m.
+        near: width there, m.
+        end: x of the other end, m.
+        far: width there, m.
+        height: m.
+    """
+    outline = [
+        [start, -near / 2],
+        [end, -far / 2],
+        [end, far / 2],
+        [start, near / 2],
+    ]
+    return prism(np.array(outline), height)
+
+
 def prism(outline: np.ndarray, height: float) -> Solid:
     """Returns a prism from z = 0 to ``height`` over a convex (n, 2) outline."""
     return convex(_between(outline, outline, height))

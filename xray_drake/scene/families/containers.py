@@ -10,61 +10,40 @@ from xray_drake.scene.shapes import (
     cup,
     cylinder,
     frustum,
+    slab,
 )
 
 
 def carton(rng: np.random.Generator) -> Solid:
     """A folding box; every third has the gable of a milk carton."""
-    length = rng.uniform(0.06, 0.14)
-    width = rng.uniform(0.038, 0.075)
+    length, width = rng.uniform(0.06, 0.14), rng.uniform(0.038, 0.075)
     height = rng.uniform(0.022, 0.042)
     body = box(length, width, height)
     if rng.random() > 1 / 3:
         return body
     gable = rng.uniform(0.25, 0.45) * width
-    y, z = width / 2, height / 2
-    ends = [
-        [length / 2, y, z],
-        [length / 2, y, -z],
-        [length / 2, -y, z],
-        [length / 2, -y, -z],
-        [length / 2 + gable, y, 0],
-        [length / 2 + gable, -y, 0],
-    ]
-    return body + convex(np.array(ends))
+    x, y, z = length / 2, width / 2, height / 2
+    corners = [[x, v, w] for v in (y, -y) for w in (z, -z)]
+    ridge = [[x + gable, v, 0] for v in (y, -y)]
+    return body + convex(np.array(corners + ridge))
 
 
 def book(rng: np.random.Generator) -> Solid:
     """A book: pages between two covers that overhang on three sides."""
-    length = rng.uniform(0.09, 0.155)
-    width = rng.uniform(0.06, 0.105)
+    length, width = rng.uniform(0.09, 0.155), rng.uniform(0.06, 0.105)
     thickness = rng.uniform(0.014, 0.032)
     cover, overhang = 0.003, 0.004
-    pages = box(
-        length - 2 * overhang,
-        width - overhang,
-        thickness - cover,
-        (0, -overhang / 2, 0),
-    )
-    z = (thickness - cover) / 2
-    spine = box(
-        length,
-        cover,
-        thickness - cover,
-        (0, -(width - cover) / 2, 0),
-    )
-    return (
-        pages
-        + spine
-        + box(length, width, cover, (0, 0, z))
-        + box(length, width, cover, (0, 0, -z))
-    )
+    inside, y = thickness - cover, -overhang / 2
+    solid = box(length - 2 * overhang, width - overhang, inside, (0, y, 0))
+    solid += box(length, cover, inside, (0, -(width - cover) / 2, 0))
+    for z in (inside / 2, -inside / 2):
+        solid += box(length, width, cover, (0, 0, z))
+    return solid
 
 
 def can(rng: np.random.Generator) -> Solid:
     """A cylinder; two in three have a wider or narrower lid."""
-    radius = rng.uniform(0.016, 0.034)
-    height = rng.uniform(0.045, 0.125)
+    radius, height = rng.uniform(0.016, 0.034), rng.uniform(0.045, 0.125)
     body = cylinder(radius, height)
     kind = rng.integers(3)
     if kind == 0:
@@ -76,8 +55,7 @@ def can(rng: np.random.Generator) -> Solid:
 
 def bottle(rng: np.random.Generator) -> Solid:
     """A round bottle: body, shoulder and neck."""
-    radius = rng.uniform(0.018, 0.032)
-    height = rng.uniform(0.06, 0.105)
+    radius, height = rng.uniform(0.018, 0.032), rng.uniform(0.06, 0.105)
     shoulder = rng.uniform(0.010, 0.026)
     neck_radius = rng.uniform(0.007, 0.4 * radius + 0.001)
     neck = rng.uniform(0.018, 0.036)
@@ -92,12 +70,10 @@ def flask(rng: np.random.Generator) -> Solid:
     """A flat bottle of oval section, as shampoo comes in, with a cap."""
     radius = rng.uniform(0.024, 0.038)
     squash = rng.uniform(0.012, 0.019) / radius
-    height = rng.uniform(0.065, 0.115)
-    shoulder = rng.uniform(0.010, 0.022)
+    height, shoulder = rng.uniform(0.065, 0.115), rng.uniform(0.010, 0.022)
     top = rng.uniform(0.5, 0.7)
     cap_radius = top * squash * radius * rng.uniform(0.9, 1.2)
-    cap = rng.uniform(0.014, 0.026)
-    foot = rng.uniform(0.8, 1.0)
+    cap, foot = rng.uniform(0.014, 0.026), rng.uniform(0.8, 1.0)
     return (
         frustum(foot * radius, radius, height, squash)
         + frustum(radius, top * radius, shoulder, squash).moved(z=height)
@@ -108,39 +84,26 @@ def flask(rng: np.random.Generator) -> Solid:
 def drinking_cup(rng: np.random.Generator) -> Solid:
     """A beaker that widens towards its rim."""
     top = rng.uniform(0.026, 0.040)
-    return cup(
-        bottom=top * rng.uniform(0.68, 1.0),
-        top=top,
-        height=rng.uniform(0.055, 0.105),
-        wall=rng.uniform(0.0035, 0.005),
-        floor=0.005,
-    )
+    bottom, height = top * rng.uniform(0.68, 1.0), rng.uniform(0.055, 0.105)
+    return cup(bottom, top, height, rng.uniform(0.0035, 0.005), 0.005)
 
 
 def bowl(rng: np.random.Generator) -> Solid:
     """A wide shallow vessel."""
     top = rng.uniform(0.042, 0.066)
-    return cup(
-        bottom=top * rng.uniform(0.5, 0.75),
-        top=top,
-        height=rng.uniform(0.024, 0.045),
-        wall=rng.uniform(0.005, 0.008),
-        floor=0.005,
-    )
+    bottom, height = top * rng.uniform(0.5, 0.75), rng.uniform(0.024, 0.045)
+    return cup(bottom, top, height, rng.uniform(0.005, 0.008), 0.005)
 
 
 def tray(rng: np.random.Generator) -> Solid:
     """A rectangular open box."""
-    length = rng.uniform(0.08, 0.15)
-    width = rng.uniform(0.055, 0.10)
-    height = rng.uniform(0.018, 0.042)
-    wall = rng.uniform(0.004, 0.006)
-    z = height / 2
-    solid = box(length, width, wall, (0, 0, wall / 2))
+    length, width = rng.uniform(0.08, 0.15), rng.uniform(0.055, 0.10)
+    height, wall = rng.uniform(0.018, 0.042), rng.uniform(0.004, 0.006)
+    solid = slab(length, width, wall)
     for sign in (-1, 1):
         x, y = sign * (length - wall) / 2, sign * (width - wall) / 2
-        solid += box(wall, width, height, (x, 0, z))
-        solid += box(length, wall, height, (0, y, z))
+        solid += slab(wall, width, height, x)
+        solid += slab(length, wall, height, y=y)
     return solid
 
 
@@ -152,13 +115,8 @@ def saucepan(rng: np.random.Generator) -> Solid:
     width, thickness = rng.uniform(0.012, 0.02), rng.uniform(0.006, 0.010)
     wall = 0.005
     vessel = cup(top * rng.uniform(0.8, 1.0), top, height, wall, 0.005)
-    start = top - wall / 2
-    return vessel + box(
-        handle,
-        width,
-        thickness,
-        (start + handle / 2, 0, height - thickness / 2 - 0.001),
-    )
+    x, z = top - wall / 2 + handle / 2, height - thickness / 2 - 0.001
+    return vessel + box(handle, width, thickness, (x, 0, z))
 
 
 FAMILIES = {

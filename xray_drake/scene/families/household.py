@@ -12,6 +12,7 @@ from xray_drake.scene.shapes import (
     frustum,
     loft,
     rod,
+    slab,
 )
 
 
@@ -20,20 +21,13 @@ def peg(rng: np.random.Generator) -> Solid:
     length, width = rng.uniform(0.055, 0.11), rng.uniform(0.008, 0.022)
     thick, thin = rng.uniform(0.006, 0.011), rng.uniform(0.004, 0.006)
     spread, place = rng.uniform(0.05, 0.2), rng.uniform(0.3, 0.6) * length
-    leg = convex(
-        np.array(
-            [
-                [x, y, z]
-                for x, high in (
-                    (0, thin),
-                    (place, thick),
-                    (length, thin),
-                )
-                for y in (-width / 2, width / 2)
-                for z in (0, high)
-            ]
-        )
-    ).moved(x=-place)
+    corners = [
+        [x, y, z]
+        for x, high in ((0, thin), (place, thick), (length, thin))
+        for y in (-width / 2, width / 2)
+        for z in (0, high)
+    ]
+    leg = convex(np.array(corners)).moved(x=-place)
     radius = thick * rng.uniform(0.6, 0.95)
     half = width / 2 + rng.uniform(0.001, 0.004)
     upper = leg.turned((0, 1, 0), -spread / 2).moved(z=0.0005)
@@ -59,24 +53,14 @@ def key(rng: np.random.Generator) -> Solid:
             [[-1.2, -0.7], [0.9, -1.1], [0.9, 1.1], [-1.2, 0.7]]
         )
         head = loft(outline, outline, thickness)
-    stem = box(
-        length + bow,
-        width,
-        0.9 * thickness,
-        ((length + bow) / 2, 0, thickness / 2),
-    )
-    solid = head + stem
     end = length + bow
+    solid = head + box(end, width, 0.9 * thickness, (end / 2, 0, thickness / 2))
     for i in range(int(rng.integers(2, 4))):
         size, gap = rng.uniform(0.004, 0.008), rng.uniform(0.008, 0.016)
         drop = rng.uniform(0.004, 0.013)
         x = end - 0.004 - i * 0.012 - 0.2 * gap
-        solid += box(
-            size,
-            drop + 0.002,
-            0.8 * thickness,
-            (x, -width / 2 - drop / 2 + 0.001, thickness / 2),
-        )
+        middle = (x, -width / 2 - drop / 2 + 0.001, thickness / 2)
+        solid += box(size, drop + 0.002, 0.8 * thickness, middle)
     return solid
 
 
@@ -88,16 +72,11 @@ def brush(rng: np.random.Generator) -> Solid:
         ferrule, bristles = rng.uniform(0.012, 0.025), rng.uniform(0.02, 0.045)
         handle = rng.uniform(0.05, 0.09)
         solid = box(ferrule, width, thick)
+        near = (ferrule / 2 - 0.001, 0.92 * width, 0.85 * thick)
+        spread = width * rng.uniform(0.75, 1.2)
         corners = [
             [x, y * w, z * t]
-            for x, w, t in (
-                (ferrule / 2 - 0.001, 0.92 * width, 0.85 * thick),
-                (
-                    ferrule / 2 + bristles,
-                    width * rng.uniform(0.75, 1.2),
-                    0.5 * thick,
-                ),
-            )
+            for x, w, t in (near, (ferrule / 2 + bristles, spread, 0.5 * thick))
             for y in (-0.5, 0.5)
             for z in (-0.5, 0.5)
         ]
@@ -113,9 +92,8 @@ def brush(rng: np.random.Generator) -> Solid:
         0.46 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (length, width)
     )
     flare = rng.uniform(0.8, 1.15)
-    solid += loft(foot, foot * flare, bristles + 0.001).moved(
-        z=back / 2 - 0.001
-    )
+    tuft = loft(foot, foot * flare, bristles + 0.001)
+    solid += tuft.moved(z=back / 2 - 0.001)
     handle = rng.uniform(0.05, 0.09) if rng.random() < 0.75 else 0.0
     if handle:
         tilt, grip = rng.uniform(-0.1, 0.35), rng.uniform(0.006, 0.010)
@@ -123,9 +101,8 @@ def brush(rng: np.random.Generator) -> Solid:
         end = (start + x, 0, -np.sin(tilt) * handle)
         return solid + rod((start, 0, 0), end, grip * 0.75, grip)
     arch = rng.uniform(0.012, 0.02)
-    return solid + box(
-        0.7 * length, 0.5 * width, arch, (0, 0, -back / 2 - arch / 2 + 0.001)
-    )
+    middle = (0, 0, -back / 2 - arch / 2 + 0.001)
+    return solid + box(0.7 * length, 0.5 * width, arch, middle)
 
 
 def bulb(rng: np.random.Generator) -> Solid:
@@ -134,9 +111,8 @@ def bulb(rng: np.random.Generator) -> Solid:
     socket, height = radius * rng.uniform(0.4, 0.75), rng.uniform(0.014, 0.03)
     neck = rng.uniform(0.010, 0.03)
     solid = cylinder(socket, height, sides=6)
-    solid += frustum(socket, 0.8 * radius, neck, sides=6).moved(
-        z=height - 0.001
-    )
+    flare = frustum(socket, 0.8 * radius, neck, sides=6)
+    solid += flare.moved(z=height - 0.001)
     squash = rng.uniform(0.7, 1)
     globe = ellipsoid((radius, squash * radius, tall * radius))
     solid += globe.moved(z=height + neck + 0.45 * tall * radius - 0.001)
@@ -150,7 +126,7 @@ def rack(rng: np.random.Generator) -> Solid:
     """A stand: a plate with two to five posts or fins of the same height."""
     length, width = rng.uniform(0.05, 0.12), rng.uniform(0.03, 0.065)
     plate, height = rng.uniform(0.005, 0.010), rng.uniform(0.015, 0.05)
-    solid = box(length, width, plate, (0, 0, plate / 2))
+    solid = slab(length, width, plate)
     count = int(rng.integers(2, 6))
     fins, thick = rng.random() < 0.5, rng.uniform(0.0045, 0.007)
     reach = (length / 2 - thick) * rng.uniform(0.6, 1)
@@ -158,9 +134,7 @@ def rack(rng: np.random.Generator) -> Solid:
     tilt = rng.uniform(-0.3, 0.3)
     for x in np.linspace(-reach, reach, count):
         if fins:
-            fin = box(thick, across, height, (0, 0, height / 2)).turned(
-                (0, 1, 0), tilt
-            )
+            fin = slab(thick, across, height).turned((0, 1, 0), tilt)
             solid += fin.moved(x=x, z=plate - 0.002)
         else:
             top = (x + height * np.sin(tilt), 0, plate + height)

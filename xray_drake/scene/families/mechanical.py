@@ -10,6 +10,8 @@ from xray_drake.scene.shapes import (
     polygon,
     prism,
     rod,
+    slab,
+    taper,
 )
 
 
@@ -21,16 +23,7 @@ def gear(rng: np.random.Generator) -> Solid:
     height = rng.uniform(0.007, 0.024)
     foot = 2 * np.pi * radius / teeth * rng.uniform(0.42, 0.62)
     tip = foot * rng.uniform(0.45, 0.95)
-    inside = 0.9 * radius
-    outline = np.array(
-        [
-            [inside, -foot / 2],
-            [radius + depth, -tip / 2],
-            [radius + depth, tip / 2],
-            [inside, foot / 2],
-        ]
-    )
-    tooth = prism(outline, height)
+    tooth = taper(0.9 * radius, foot, radius + depth, tip, height)
     solid = cylinder(radius, height)
     for i in range(teeth):
         solid += tooth.turned((0, 0, 1), 2 * np.pi * i / teeth)
@@ -46,11 +39,10 @@ def bolt(rng: np.random.Generator) -> Solid:
     head, height = radius * rng.uniform(1.6, 2.6), rng.uniform(0.006, 0.018)
     sides = int(rng.choice([4, 6, 8]))
     solid = rod((0, 0, height - 0.001), (0, 0, height + length), radius)
-    solid += (
-        cylinder(head, height)
-        if sides == 8
-        else prism(polygon(head, sides), height)
-    )
+    if sides == 8:
+        solid += cylinder(head, height)
+    else:
+        solid += prism(polygon(head, sides), height)
     if rng.random() < 0.5:
         nut, place = rng.uniform(0.006, 0.014), rng.uniform(0.25, 0.8)
         solid += prism(polygon(radius * rng.uniform(1.5, 2.2), 6), nut).moved(
@@ -92,7 +84,7 @@ def profile(rng: np.random.Generator) -> Solid:
     depth, width = rng.uniform(0.022, 0.055), rng.uniform(0.022, 0.055)
     web, flange = rng.uniform(0.004, 0.012, size=2)
     other = width * rng.uniform(0.5, 1)
-    solid = box(length, web, depth, (0, 0, depth / 2))
+    solid = slab(length, web, depth)
 
     def flange_at(z: float, low: float, high: float) -> Solid:
         return box(length, high - low, flange, (0, (low + high) / 2, z))
@@ -134,10 +126,8 @@ def clamp(rng: np.random.Generator) -> Solid:
     solid += box(throat, thickness, bar, (throat / 2, 0, opening + bar / 2))
     solid += box(lower, thickness, bar, (lower / 2, 0, -bar / 2))
     radius = 0.45 * thickness * rng.uniform(0.7, 1)
-    low, high = (
-        -bar - rng.uniform(0.018, 0.035),
-        opening * rng.uniform(0.1, 0.6),
-    )
+    low = -bar - rng.uniform(0.018, 0.035)
+    high = opening * rng.uniform(0.1, 0.6)
     x = lower - 0.7 * bar
     solid += rod((x, 0, low), (x, 0, high), radius)
     half = rng.uniform(0.010, 0.02)
@@ -148,17 +138,9 @@ def crank(rng: np.random.Generator) -> Solid:
     """An arm with a hub at one end and a peg at the other, up or down."""
     length, thickness = rng.uniform(0.04, 0.09), rng.uniform(0.006, 0.013)
     wide, narrow = rng.uniform(0.012, 0.024), rng.uniform(0.009, 0.014)
-    outline = np.array(
-        [
-            [0, -wide / 2],
-            [length, -narrow / 2],
-            [length, narrow / 2],
-            [0, wide / 2],
-        ]
-    )
     hub, height = wide * rng.uniform(0.6, 1.0), rng.uniform(0.010, 0.035)
     peg, reach = narrow * rng.uniform(0.55, 0.9), rng.uniform(0.018, 0.05)
-    solid = prism(outline, thickness)
+    solid = taper(0, wide, length, narrow, thickness)
     solid += cylinder(hub, thickness + height).moved(z=-0.0005)
     up = rng.random() < 0.5
     low, high = (-0.0005, reach) if up else (-reach, thickness + 0.0005)

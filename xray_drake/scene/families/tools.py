@@ -10,7 +10,8 @@ from xray_drake.scene.shapes import (
     convex,
     cylinder,
     frustum,
-    prism,
+    slab,
+    taper,
 )
 
 ALONG_X = (0, 1, 0), np.pi / 2
@@ -38,9 +39,8 @@ def spoon(rng: np.random.Generator) -> Solid:
     squash = rng.uniform(0.6, 0.85)
     blade = cylinder(radius, thickness + 0.002, squash).moved(x=-radius)
     handle = box(length, width, thickness, (length / 2 - 0.006, 0, 0))
-    knob = cylinder(0.75 * width, thickness, 0.9).moved(
-        x=length - 0.006, z=-thickness / 2
-    )
+    knob = cylinder(0.75 * width, thickness, 0.9)
+    knob = knob.moved(x=length - 0.006, z=-thickness / 2)
     lift = rng.uniform(0, 0.2)
     stem = (handle + knob).turned((0, 1, 0), -lift)
     return blade + stem.moved(z=thickness / 2 + 0.001)
@@ -55,29 +55,12 @@ def fork(rng: np.random.Generator) -> Solid:
     width = tines * tine + (tines - 1) * gap
     handle, tine_length = 0.075 * scale, rng.uniform(0.03, 0.045) * scale
     bridge, stem = 0.016 * scale, 0.009 * scale
-    outline = np.array(
-        [
-            [-bridge, -stem / 2],
-            [0, -width / 2],
-            [0, width / 2],
-            [-bridge, stem / 2],
-        ]
-    )
-    solid = prism(outline, thickness)
-    solid += box(
-        handle,
-        stem,
-        thickness,
-        (0.002 - bridge - handle / 2, 0, thickness / 2),
-    )
+    solid = taper(-bridge, stem, 0, width, thickness)
+    solid += slab(handle, stem, thickness, 0.002 - bridge - handle / 2)
+    x = tine_length / 2 - 0.001
     for i in range(tines):
         y = -width / 2 + tine / 2 + i * (tine + gap)
-        solid += box(
-            tine_length + 0.002,
-            tine,
-            thickness,
-            (tine_length / 2 - 0.001, y, thickness / 2),
-        )
+        solid += slab(tine_length + 0.002, tine, thickness, x, y)
     return solid
 
 
@@ -86,12 +69,9 @@ def spatula(rng: np.random.Generator) -> Solid:
     blade, near = rng.uniform(0.05, 0.08), rng.uniform(0.036, 0.05)
     far, thickness = near * rng.uniform(1.0, 1.45), rng.uniform(0.004, 0.007)
     radius, length = rng.uniform(0.006, 0.010), rng.uniform(0.065, 0.10)
-    outline = np.array(
-        [[0, -near / 2], [blade, -far / 2], [blade, far / 2], [0, near / 2]]
-    )
     handle = cylinder(radius, length).turned(*ALONG_X)
     handle = handle.moved(x=0.012 - length, z=thickness / 2)
-    return prism(outline, thickness) + handle
+    return taper(0, near, blade, far, thickness) + handle
 
 
 def wrench(rng: np.random.Generator) -> Solid:
@@ -101,25 +81,12 @@ def wrench(rng: np.random.Generator) -> Solid:
     jaw = rng.uniform(0.014, 0.022)
 
     def jaws() -> Solid:
-        crown = np.array(
-            [
-                [-0.008, -width / 2],
-                [0.008, -jaw],
-                [0.008, jaw],
-                [-0.008, width / 2],
-            ]
-        )
-        solid = prism(crown, thickness)
-        for sign in (-1, 1):
-            solid += box(
-                0.020,
-                0.55 * jaw,
-                thickness,
-                (0.015, sign * 0.72 * jaw, thickness / 2),
-            )
+        solid = taper(-0.008, width, 0.008, 2 * jaw, thickness)
+        for y in (-0.72 * jaw, 0.72 * jaw):
+            solid += slab(0.020, 0.55 * jaw, thickness, 0.015, y)
         return solid
 
-    solid = box(length, width, thickness, (0, 0, thickness / 2))
+    solid = slab(length, width, thickness)
     tilt = rng.uniform(-0.3, 0.3)
     solid += jaws().turned((0, 0, 1), tilt).moved(x=length / 2)
     if rng.random() < 0.5:
@@ -157,8 +124,8 @@ def bracket(rng: np.random.Generator) -> Solid:
     """An angle of two plates, half of them with a gusset between."""
     width, thickness = rng.uniform(0.028, 0.06), rng.uniform(0.006, 0.011)
     first, second = rng.uniform(0.05, 0.10), rng.uniform(0.04, 0.075)
-    solid = box(first, width, thickness, (first / 2, 0, thickness / 2))
-    solid += box(thickness, width, second, (thickness / 2, 0, second / 2))
+    solid = slab(first, width, thickness, first / 2)
+    solid += slab(thickness, width, second, thickness / 2)
     if rng.random() < 0.5:
         leg, half = 0.6 * min(first, second), thickness / 2
         inset = 0.5 * thickness
@@ -180,12 +147,8 @@ def hook(rng: np.random.Generator) -> Solid:
     if rng.random() < 0.35:
         return clip
     shank = rng.uniform(0.03, 0.07)
-    return clip + box(
-        band,
-        shank + 0.002,
-        height,
-        (outer - band / 2, 0.001 - shank / 2, height / 2),
-    )
+    x, y = outer - band / 2, 0.001 - shank / 2
+    return clip + slab(band, shank + 0.002, height, x, y)
 
 
 FAMILIES = {

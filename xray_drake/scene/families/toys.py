@@ -65,9 +65,8 @@ def figurine(rng: np.random.Generator) -> Solid:
     torso, leg = rng.uniform(0.016, 0.026), rng.uniform(0.018, 0.034)
     head = rng.uniform(0.008, 0.0135)
     solid = ellipsoid((belly, chest, torso)).moved(z=leg + 0.75 * torso)
-    solid += ellipsoid((head, head, head * rng.uniform(1, 1.3))).moved(
-        z=leg + 1.7 * torso + 0.6 * head
-    )
+    skull = ellipsoid((head, head, head * rng.uniform(1, 1.3)))
+    solid += skull.moved(z=leg + 1.7 * torso + 0.6 * head)
     shoulder = leg + 1.1 * torso
     arm, thick = rng.uniform(0.018, 0.03), rng.uniform(0.0035, 0.005)
     both = rng.uniform(-1.1, 1.2)
@@ -77,9 +76,8 @@ def figurine(rng: np.random.Generator) -> Solid:
         hand = (0.006, sign * (0.5 * chest + arm * y), shoulder + arm * z)
         solid += rod((0, sign * 0.5 * chest, shoulder), hand, thick)
     if rng.random() < 0.45:
-        solid += frustum(
-            chest * rng.uniform(1.1, 1.9), 0.7 * chest, leg + 0.4 * torso
-        )
+        hem = chest * rng.uniform(1.1, 1.9)
+        solid += frustum(hem, 0.7 * chest, leg + 0.4 * torso)
     else:
         stance = rng.uniform(0.2, 0.55)
         for sign in (-1, 1):
@@ -100,10 +98,8 @@ def animal(rng: np.random.Generator) -> Solid:
     head = rng.uniform(0.008, 0.014)
     if rng.random() < 0.4:
         solid = ellipsoid((length, width, height))
-        reach, up = (
-            length * rng.uniform(0.65, 0.95),
-            height * rng.uniform(0.9, 1.3),
-        )
+        reach = length * rng.uniform(0.65, 0.95)
+        up = height * rng.uniform(0.9, 1.3)
         solid += rod((0.5 * length, 0, 0), (reach, 0, up + head), 0.6 * head)
         solid += ellipsoid((head, head, head)).moved(x=reach, z=up + head)
         beak = rng.uniform(0.010, 0.020)
@@ -131,19 +127,14 @@ def animal(rng: np.random.Generator) -> Solid:
     for i in (-1, 1):
         for j in (-1, 1):
             foot = height * 0.3 + leg
-            solid += box(
-                thick, thick, foot, (i * x, j * y, -foot / 2 - 0.1 * height)
-            )
+            middle = (i * x, j * y, -foot / 2 - 0.1 * height)
+            solid += box(thick, thick, foot, middle)
     neck, lift = rng.uniform(0.008, 0.022), rng.uniform(-0.1, 1.2)
-    nose = (
-        0.8 * length + neck * np.cos(lift),
-        0.0,
-        0.4 * height + neck * np.sin(lift) + 0.3 * head,
-    )
+    x = 0.8 * length + neck * np.cos(lift)
+    nose = (x, 0.0, 0.4 * height + neck * np.sin(lift) + 0.3 * head)
     solid += rod((0.6 * length, 0, 0.2 * height), nose, 0.6 * head)
-    solid += ellipsoid(
-        (head * rng.uniform(1, 1.5), head * rng.uniform(0.8, 1.1), head)
-    ).moved(*nose)
+    long, wide = head * rng.uniform(1, 1.5), head * rng.uniform(0.8, 1.1)
+    solid += ellipsoid((long, wide, head)).moved(*nose)
     return solid.stretched([size] * 3)
 
 
@@ -165,9 +156,8 @@ def car(rng: np.random.Generator) -> Solid:
     )
     foot[:, 0] /= 2
     roof = foot * (high, 0.9) + (rng.uniform(-0.08, 0.03) * length, 0)
-    solid += loft(foot, roof, cabin).moved(
-        x=place, z=0.5 * (height + nose) - 0.004
-    )
+    house = loft(foot, roof, cabin)
+    solid += house.moved(x=place, z=0.5 * (height + nose) - 0.004)
     base, thick = half * rng.uniform(0.5, 0.72), rng.uniform(0.006, 0.009)
     for x in (-base, base):
         for y in (-width / 2, width / 2):
@@ -183,30 +173,22 @@ def boat(rng: np.random.Generator) -> Solid:
     deck = np.array(
         [[0, -stern], [1 - bow, -1], [1, 0], [1 - bow, 1], [0, stern]]
     ) * (length, width / 2)
-    keel = (deck - (0.45 * length, 0)) * (
-        rng.uniform(0.7, 0.95),
-        rng.uniform(0.35, 0.9),
-    ) + (0.45 * length, 0)
+    shrink, middle = rng.uniform([0.7, 0.35], [0.95, 0.9]), (0.45 * length, 0)
+    keel = (deck - middle) * shrink + middle
     solid = loft(keel, deck, height)
-    cabin = np.array(
-        [rng.uniform(0.2, 0.5) * length, rng.uniform(0.4, 0.75) * width]
-    )
+    cabin = rng.uniform([0.2, 0.4], [0.5, 0.75]) * (length, width)
     tall = rng.uniform(0.010, 0.026)
     x = length * rng.uniform(0.28, 0.5)
     solid += box(cabin[0], cabin[1], tall, (x, 0, height + tall / 2 - 0.001))
     kind = rng.integers(3)
     top = height + tall - 0.001
+    foot = (x, 0, top - 0.002)
     if kind == 0:
-        up = rng.uniform(0.02, 0.05)
-        solid += rod(
-            (x, 0, top - 0.002), (x, 0, top + up), rng.uniform(0.003, 0.005)
-        )
+        end = (x, 0, top + rng.uniform(0.02, 0.05))
+        solid += rod(foot, end, rng.uniform(0.003, 0.005))
     elif kind == 1:
-        solid += rod(
-            (x, 0, top - 0.002),
-            (x - 0.004, 0, top + rng.uniform(0.012, 0.024)),
-            rng.uniform(0.25, 0.42) * cabin.min(),
-        )
+        end = (x - 0.004, 0, top + rng.uniform(0.012, 0.024))
+        solid += rod(foot, end, rng.uniform(0.25, 0.42) * cabin.min())
     else:
         second = rng.uniform(0.5, 0.8) * cabin
         more = rng.uniform(0.008, 0.016)
@@ -248,27 +230,20 @@ def letter(rng: np.random.Generator) -> Solid:
     width = height * rng.uniform(0.55, 1.05)
     thick = height * rng.uniform(0.13, 0.24)
     solids = []
-    for x0, y0, x1, y1 in strokes:
-        start = np.array([x0 * width, y0 * height])
-        end = np.array([x1 * width, y1 * height])
+    for stroke in strokes:
+        start, end = np.reshape(stroke, (2, 2)) * (width, height)
         along = (end - start) / np.linalg.norm(end - start)
         slanted = bool(min(np.abs(along)) > 1e-9)
         more = along * thick * (0.3 if slanted else 0.5)
         # A slanted stroke is a little lower: no two faces coincide.
-        solids.append(
-            beam(start - more, end + more, thick, depth * (1 - 0.06 * slanted))
-        )
-    solid = solids[0]
-    for other in solids[1:]:
-        solid += other
-    return solid
+        tall = depth * (1 - 0.06 * slanted)
+        solids.append(beam(start - more, end + more, thick, tall))
+    return sum(solids[1:], solids[0])
 
 
 def stone(rng: np.random.Generator) -> Solid:
     """A broken stone: the hull of a dozen points."""
-    radii = np.array(
-        [rng.uniform(a, b) for a, b in ((22, 45), (16, 32), (9, 26))]
-    )
+    radii = rng.uniform([22, 16, 9], [45, 32, 26])
     points = rng.normal(size=(12, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
     # Drive the points apart, so that the stone is no splinter.

@@ -1,7 +1,6 @@
 """Families that training never uses: the test set is drawn from them."""
 
 import numpy as np
-import trimesh
 
 from xray_drake.scene.families.family import Family
 from xray_drake.scene.shapes import (
@@ -15,6 +14,7 @@ from xray_drake.scene.shapes import (
     frustum,
     prism,
     rod,
+    slab,
 )
 
 
@@ -31,24 +31,17 @@ def airplane(rng: np.random.Generator) -> Solid:
     height = rng.uniform(-0.6, 0.6) * radius
 
     def wing(chord: float, tip: float, span: float, sweep: float) -> Solid:
-        outline = np.array(
-            [
-                [-sweep, -span / 2],
-                [0, 0],
-                [-sweep, span / 2],
-                [-sweep - tip, span / 2],
-                [min(-chord, -sweep - tip), 0],
-                [-sweep - tip, -span / 2],
-            ]
-        )
+        back = -sweep - tip
+        right = [[-sweep, span / 2], [back, span / 2], [min(-chord, back), 0]]
+        left = [[-sweep, -span / 2], [0, 0]]
+        outline = np.array([*left, *right, [back, -span / 2]])
         return prism(outline, 0.004).moved(z=-0.002)
 
     solid += wing(chord, tip, span, 0.5 * sweep).moved(x=place, z=height)
     share = rng.uniform(0.3, 0.5)
     chord *= 0.6
-    solid += wing(chord, 0.6 * tip, share * span, 0.3 * share * sweep).moved(
-        x=chord - length, z=0.3 * radius
-    )
+    tailplane = wing(chord, 0.6 * tip, share * span, 0.3 * share * sweep)
+    solid += tailplane.moved(x=chord - length, z=0.3 * radius)
     up = rng.uniform(0.015, 0.03)
     side = np.array([[0, 0], [-chord, 0], [-chord, up], [-0.6 * chord, up]])
     fin = prism(side, 0.004).turned((1, 0, 0), np.pi / 2)
@@ -60,7 +53,7 @@ def chair(rng: np.random.Generator) -> Solid:
     width, depth = rng.uniform(0.03, 0.05), rng.uniform(0.03, 0.05)
     seat, leg = rng.uniform(0.005, 0.009), rng.uniform(0.022, 0.045)
     thick = rng.uniform(0.005, 0.008)
-    solid = box(depth, width, seat, (0, 0, seat / 2))
+    solid = slab(depth, width, seat)
     splay = rng.uniform(-0.05, 0.2)
     for i in (-1, 1):
         for j in (-1, 1):
@@ -69,8 +62,7 @@ def chair(rng: np.random.Generator) -> Solid:
             solid += rod((x, y, 0.003), foot, thick / 2)
     if rng.random() < 0.75:
         back, lean = rng.uniform(0.02, 0.055), rng.uniform(0, 0.3)
-        rest = box(thick, width, back, (0, 0, back / 2))
-        rest = rest.turned((0, 1, 0), -lean)
+        rest = slab(thick, width, back).turned((0, 1, 0), -lean)
         solid += rest.moved(x=(thick - depth) / 2, z=seat - 0.002)
     return solid
 
@@ -81,24 +73,16 @@ def scissors(rng: np.random.Generator) -> Solid:
     width, thickness = rng.uniform(0.009, 0.015), rng.uniform(0.004, 0.006)
     opening = rng.uniform(0.15, 0.6)
     outer, band = rng.uniform(0.012, 0.019), rng.uniform(0.004, 0.006)
-    outline = np.array(
-        [
-            [-shank, -0.4 * width],
-            [0, -0.5 * width],
-            [blade, -0.1 * width],
-            [blade, 0.15 * width],
-            [0, 0.5 * width],
-            [-shank, 0.4 * width],
-        ]
-    )
+    lower = [[-shank, -0.4 * width], [0, -0.5 * width], [blade, -0.1 * width]]
+    upper = [[blade, 0.15 * width], [0, 0.5 * width], [-shank, 0.4 * width]]
+    outline = np.array(lower + upper)
     loop = arc(outer - band, outer, thickness, np.pi, 3)
-    half = prism(outline, thickness) + loop.moved(
-        x=0.002 - shank - outer, y=-0.2 * width
-    )
-    closing = box(2 * outer, band, thickness, (0, 0, thickness / 2))
-    half += closing.moved(x=0.002 - shank - outer, y=-0.2 * width)
+    half = prism(outline, thickness)
+    for part in (loop, slab(2 * outer, band, thickness)):
+        half += part.moved(x=0.002 - shank - outer, y=-0.2 * width)
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     other = Solid(
-        tuple(_mirrored(mesh) for mesh in half.surfaces),
+        tuple(mesh.copy().apply_transform(mirror) for mesh in half.surfaces),
         tuple(hull * (1, -1, 1) for hull in half.hulls),
     )
     half = half.turned((0, 0, 1), -opening / 2)
@@ -112,25 +96,17 @@ def sunglasses(rng: np.random.Generator) -> Solid:
     gap, thickness = rng.uniform(0.012, 0.02), 0.004
     temple, fold = rng.uniform(0.06, 0.11), rng.uniform(0, 0.5)
     cut = rng.uniform(0.45, 0.95)
-    outline = np.array(
-        [
-            [-width / 2, height / 2],
-            [-cut * width / 2, -height / 2],
-            [cut * width / 2, -height / 2],
-            [width / 2, height / 2],
-        ]
-    )
+    x, y, low = width / 2, height / 2, cut * width / 2
+    outline = np.array([[-x, y], [-low, -y], [low, -y], [x, y]])
     middle = (gap + width) / 2
     lens = prism(outline, thickness)
     bar = rng.uniform(0.004, 0.008)
     solid = lens.moved(x=-middle) + lens.moved(x=middle)
     solid += box(gap + 0.012, bar, thickness, (0, 0.25 * height, thickness / 2))
     for sign in (-1, 1):
-        arm = box(0.004, bar, temple, (0, 0, temple / 2))
-        arm = arm.turned((0, 1, 0), -sign * fold)
-        solid += arm.moved(
-            x=sign * (middle + width / 2 - 0.003), y=0.4 * height, z=0.001
-        )
+        arm = slab(0.004, bar, temple).turned((0, 1, 0), -sign * fold)
+        x = sign * (middle + width / 2 - 0.003)
+        solid += arm.moved(x=x, y=0.4 * height, z=0.001)
     return solid
 
 
@@ -145,9 +121,8 @@ def padlock(rng: np.random.Generator) -> Solid:
         solid = box(width, thickness, height, (0, 0, -height / 2))
     else:
         lower = rng.uniform(0.55, 0.9)
-        outline = (
-            width / 2 * np.array([[-1, 0], [1, 0], [lower, -1], [-lower, -1]])
-        )
+        outline = np.array([[-1, 0], [1, 0], [lower, -1], [-lower, -1]])
+        outline = width / 2 * outline
         outline[:, 1] *= 2 * height / width
         solid = prism(outline, thickness).turned((1, 0, 0), np.pi / 2)
         solid = solid.moved(y=thickness / 2)
@@ -179,17 +154,12 @@ def camera(rng: np.random.Generator) -> Solid:
     ]
     solid += convex(np.array(corners)).moved(x=x, z=height / 2 - 0.001)
     button = rng.uniform(0.005, 0.008)
-    solid += cylinder(button, 0.007, sides=6).moved(
-        x=-0.38 * width, z=height / 2 - 0.001
-    )
+    release = cylinder(button, 0.007, sides=6)
+    solid += release.moved(x=-0.38 * width, z=height / 2 - 0.001)
     if rng.random() < 0.5:
         grip = rng.uniform(0.008, 0.016)
-        solid += box(
-            0.22 * width,
-            grip,
-            0.9 * height,
-            (-0.39 * width, -depth / 2 - grip / 2 + 0.001, 0),
-        )
+        middle = (-0.39 * width, -depth / 2 - grip / 2 + 0.001, 0)
+        solid += box(0.22 * width, grip, 0.9 * height, middle)
     return solid
 
 
@@ -205,9 +175,8 @@ def tap(rng: np.random.Generator) -> Solid:
     end = (spout, 0.0, start + rise)
     solid += rod((0, 0, start - 0.3 * slim), end, slim)
     drop = rng.uniform(0.01, 0.03)
-    solid += rod(
-        (spout, 0, end[2] + 0.8 * slim), (spout, 0, end[2] - drop), slim
-    )
+    above = (spout, 0, end[2] + 0.8 * slim)
+    solid += rod(above, (spout, 0, end[2] - drop), slim)
     turn, lever = rng.uniform(0, np.pi), rng.uniform(0.025, 0.05)
     bar = box(lever, 0.008, 0.006, (lever / 2 - 0.006, 0, 0))
     bar = bar.turned((0, 1, 0), -rng.uniform(0, 0.6)).turned((0, 0, 1), turn)
@@ -275,19 +244,14 @@ def teapot(rng: np.random.Generator) -> Solid:
     middle = (radius + top) / 2
     reach, mouth = rng.uniform(0.022, 0.04), rng.uniform(0.0035, 0.005)
     low, high = rng.uniform(0.2, 0.5) * height, rng.uniform(0.85, 1.15) * height
-    solid += rod(
-        (0.7 * middle, 0, low),
-        (middle + reach, 0, high),
-        mouth * rng.uniform(1.3, 2.0),
-        mouth,
-    )
+    start, end = (0.7 * middle, 0, low), (middle + reach, 0, high)
+    solid += rod(start, end, mouth * rng.uniform(1.3, 2.0), mouth)
     out, bar = rng.uniform(0.018, 0.03), rng.uniform(0.005, 0.0075)
     first, second = 0.22 * height, 0.85 * height
     x = -middle - out
     for z in (first, second):
-        solid += box(
-            out + 0.5 * middle, bar, bar, (x / 2 - 0.25 * middle, 0, z)
-        )
+        arm = (x / 2 - 0.25 * middle, 0, z)
+        solid += box(out + 0.5 * middle, bar, bar, arm)
     solid += box(bar, bar, second - first + bar, (x, 0, (first + second) / 2))
     knob = rng.uniform(0.006, 0.010)
     return solid + ellipsoid((knob, knob, knob)).moved(z=height + 0.6 * knob)
@@ -299,30 +263,18 @@ def drill(rng: np.random.Generator) -> Solid:
     chuck, bit = rng.uniform(0.012, 0.022), rng.uniform(0.015, 0.04)
     grip, lean = rng.uniform(0.035, 0.06), rng.uniform(-0.05, 0.35)
     solid = rod((0, 0, 0), (length, 0, 0), radius)
-    solid += rod(
-        (length - 0.001, 0, 0),
-        (length + chuck, 0, 0),
-        0.8 * radius,
-        0.4 * radius,
-    )
+    back, front = (length - 0.001, 0, 0), (length + chuck, 0, 0)
+    solid += rod(back, front, 0.8 * radius, 0.4 * radius)
     start = length + chuck - 0.002
     solid += rod((start, 0, 0), (start + bit, 0, 0), rng.uniform(0.003, 0.0045))
     width, thick = rng.uniform(0.015, 0.022), 1.2 * radius
     bar = box(width, thick, grip, (0, 0, -grip / 2))
     x = length * rng.uniform(0.15, 0.45)
     solid += bar.turned((0, 1, 0), lean).moved(x=x, z=-0.5 * radius)
-    pack = box(
-        width * rng.uniform(1.3, 2.2),
-        thick * rng.uniform(1.1, 1.6),
-        rng.uniform(0.010, 0.018),
-    )
-    return solid + pack.moved(
-        x=x - np.sin(lean) * grip, z=-0.5 * radius - np.cos(lean) * grip
-    )
-
-
-def _mirrored(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    return mesh.copy().apply_transform(np.diag([1.0, -1.0, 1.0, 1.0]))
+    long, wide = width * rng.uniform(1.3, 2.2), thick * rng.uniform(1.1, 1.6)
+    pack = box(long, wide, rng.uniform(0.010, 0.018))
+    z = -0.5 * radius - np.cos(lean) * grip
+    return solid + pack.moved(x=x - np.sin(lean) * grip, z=z)
 
 
 FAMILIES = {

@@ -150,7 +150,14 @@ def import_meshes(
             makes no sense.
     """
     folder = Path(folder)
-    _check(scale, density, max_pieces, max_vertices, workers, time_limit)
+    _check(
+        {"scale": scale, "density": density, "time_limit": time_limit},
+        {
+            "max_pieces": max_pieces,
+            "max_vertices": max_vertices,
+            "workers": workers,
+        },
+    )
     files = find_meshes(folder)
     masses, idle = masses_of(files, read_masses(folder))
     if idle:
@@ -168,6 +175,27 @@ def import_meshes(
         if progress is not None:
             progress(len(outcomes) / len(files))
 
+    if not all(outcome.kept for outcome in outcomes.values()):
+        _logger.warning("cannot write to %s: next time takes as long", cache)
+    result = _collected(files, outcomes, masses, density, max_loss)
+    if not result.models:
+        path, reason = result.rejected[0]
+        raise ValueError(
+            f"none of the {len(files)} mesh files in {folder} can be used; "
+            f"{printable(path.name)}: {reason}"
+        )
+    _logger.info("%s: %s", folder, result.summary())
+    return result
+
+
+def _collected(
+    files: list[MeshFile],
+    outcomes: dict[int, Outcome],
+    masses: list[float | None],
+    density: float,
+    max_loss: LossLimits,
+) -> MeshImport:
+    """Makes the objects, and logs what is rejected or was repaired."""
     models, rejected, losses, notes = [], [], {}, {}
     for index, file in enumerate(files):
         outcome = outcomes[index]
@@ -186,23 +214,13 @@ def import_meshes(
         if len(outcome.prepared.notes):
             notes[model.name] = "; ".join(map(str, outcome.prepared.notes))
             _logger.warning("%s: %s", file.path, notes[model.name])
-    if not all(outcome.kept for outcome in outcomes.values()):
-        _logger.warning("cannot write to %s: next time takes as long", cache)
-    result = MeshImport(
+    return MeshImport(
         models=tuple(models),
         losses=losses,
         notes=notes,
         rejected=tuple(rejected),
         from_cache=sum(outcome.cached for outcome in outcomes.values()),
     )
-    if not models:
-        path, reason = rejected[0]
-        raise ValueError(
-            f"none of the {len(files)} mesh files in {folder} can be used; "
-            f"{printable(path.name)}: {reason}"
-        )
-    _logger.info("%s: %s", folder, result.summary())
-    return result
 
 
 def _prepare_all(
@@ -300,25 +318,11 @@ def _model(
     )
 
 
-def _check(
-    scale: float,
-    density: float,
-    max_pieces: int,
-    max_vertices: int,
-    workers: int,
-    time_limit: float,
-) -> None:
-    for name, value in (
-        ("scale", scale),
-        ("density", density),
-        ("time_limit", time_limit),
-    ):
+def _check(positive: dict[str, float], counts: dict[str, int]) -> None:
+    for name, value in positive.items():
         if not 0 < value < np.inf:
             raise ValueError(f"{name} must be positive and finite, not {value}")
-    for name, count, least in (
-        ("max_pieces", max_pieces, 1),
-        ("max_vertices", max_vertices, 4),
-        ("workers", workers, 1),
-    ):
+    for name, count in counts.items():
+        least = 4 if name == "max_vertices" else 1
         if count < least:
             raise ValueError(f"{name} must be at least {least}, not {count}")

@@ -1,6 +1,10 @@
-"""Makes of one mesh file what a heap needs: the slow part of the import."""
+"""Converts one mesh file into a simulation asset, and keeps it in a cache."""
 
-from dataclasses import dataclass, field, fields
+import hashlib
+import io
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +12,12 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from xray_drake.faults import is_fault, one_line
-from xray_drake.scene.meshes.cache import (
-    content_key,
-    read_arrays,
-    write_arrays,
-)
+from xray_drake.files import write_whole_file
 from xray_drake.scene.meshes.closing import closed_solid
 from xray_drake.scene.meshes.decompose import convex_pieces, decimated
-from xray_drake.scene.meshes.formats import side_files
+from xray_drake.scene.meshes.formats import FileMesh, read_file, side_files
 from xray_drake.scene.meshes.losses import LossLimits
-from xray_drake.scene.meshes.reading import read_mesh
+from xray_drake.scene.meshes.pieces import hull_volume
 from xray_drake.scene.meshes.textures import mean_color, read_texture
 from xray_drake.scene.object_model import TexturedMesh
 
@@ -31,8 +31,18 @@ VISUAL_SHARE = 0.995
 VISUAL_DEVIATION = 0.0005
 """m. This share of the true vertices lies as near to the decimated surface."""
 
+SMALLEST = 0.005
+LARGEST = 0.5
+"""m. The longest side of the bounding box must lie between these; the bin's
+floor is no longer."""
+
+FLATTEST = 1e-6
+"""A hull of less volume than this share of the cubed longest side is flat."""
+
 _SAMPLES = 30_000
 _NEAREST = 6
+
+_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -142,7 +152,7 @@ def read_outcome(
         Also that it cannot be read; ``None`` where it is to be prepared.
     """
     try:
-        arrays = read_arrays(cache, _key(path, settings))
+        arrays = _read_arrays(cache, _key(path, settings))
     except OSError as error:
         return Outcome(None, f"cannot be read ({error.strerror})")
     except MemoryError:
@@ -176,7 +186,7 @@ def keep_reason(
     """
     arrays = {"reason": np.array(reason), "time_limit": np.array(time_limit)}
     try:
-        kept = write_arrays(cache, _key(path, settings), arrays)
+        kept = _write_arrays(cache, _key(path, settings), arrays)
     except OSError:  # the file is gone
         kept = False
     return Outcome(None, reason, kept=kept)
@@ -195,12 +205,85 @@ def prepare_cached(path: Path, settings: Settings, cache: Path) -> Outcome:
             raise
         return keep_reason(path, settings, cache, one_line(error))
     key = _key(path, settings)
-    return Outcome(prepared, kept=write_arrays(cache, key, vars(prepared)))
+    return Outcome(prepared, kept=_write_arrays(cache, key, vars(prepared)))
 
 
 def _key(path: Path, settings: Settings) -> str:
-    sources = [path, *side_files(path)]
-    return content_key(sources, f"{ALGORITHM} {settings}")
+    """Names what comes of a file by its content and that of its side files."""
+    digest = hashlib.sha256(f"{ALGORITHM} {settings}".encode())
+    for source in [path, *side_files(path)]:
+        content = source.read_bytes()
+        digest.update(f"\n{source.suffix} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:40]
+
+
+def _read_arrays(folder: Path, key: str) -> dict[str, np.ndarray] | None:
+    """Reads what was kept: name to array, shaped as it was written.
+
+    ``None`` if it is missing or damaged.
+    """
+    path = folder / f"{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        return None
+    except Exception:
+        # Bytes of a damaged file raise anything, zlib's own errors too.
+        _logger.debug("damaged cache file %s", path, exc_info=True)
+        return None
+
+
+def _write_arrays(
+    folder: Path, key: str, arrays: Mapping[str, np.ndarray]
+) -> bool:
+    """Keeps arrays under a key; a reader sees all of them or none.
+
+    Returns:
+        Whether it could be written.
+    """
+    content = io.BytesIO()
+    np.savez_compressed(content, **dict(arrays))  # type: ignore[arg-type]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole_file(folder / f"{key}.npz", content.getvalue())
+    except OSError:
+        return False
+    return True
+
+
+def read_mesh(path: Path, scale: float) -> FileMesh:
+    """Reads a file; the nodes of a scene are put together.
+
+    Args:
+        path: OBJ, GLB, PLY, STL or OFF.
+        scale: metres per unit of the file.
+
+    Returns:
+        What the file says, in metres.
+
+    Raises:
+        ValueError: it cannot be used; the message says why in one line.
+    """
+    file = read_file(path)
+    vertices = file.vertices * scale
+    used = vertices[np.unique(file.triangles)]
+    if len(used) == 0:
+        raise ValueError("it has no faces")
+    if not np.isfinite(used).all():
+        raise ValueError("a vertex is not finite")
+    longest = float(np.ptp(used, axis=0).max())
+    if not SMALLEST <= longest <= LARGEST:
+        raise ValueError(
+            f"its longest side is {longest:.4g} m, not {SMALLEST} to "
+            f"{LARGEST} m; if it is not in metres, give a scale"
+        )
+    if hull_volume(used - used.mean(axis=0)) < FLATTEST * longest**3:
+        raise ValueError("it is flat")
+    if file.visual is not None:
+        file.visual.apply_scale(scale)
+    return replace(file, vertices=vertices)
 
 
 def prepare(path: Path, settings: Settings) -> Prepared:

@@ -1,7 +1,6 @@
 """Stanford PLY."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -58,10 +57,7 @@ def read_ply(path: Path) -> FileMesh:
     """
     content = path.read_bytes()
     order, elements, texture, body = _header(content)
-    if order:
-        _read_binary(elements, content[body:], order)
-    else:
-        _read_ascii(elements, decoded(content[body:]))
+    _read(elements, content[body:], order)
     by_name = {element.name: element for element in elements}
     points = by_name.get("vertex", _Element("vertex", 0))
     if not {"x", "y", "z"} <= set(points.scalars):
@@ -143,99 +139,78 @@ def _header(content: bytes) -> tuple[str, list[_Element], str, int]:
     return order, elements, texture, body
 
 
-def _read_ascii(elements: list[_Element], text: str) -> None:
-    words = text.split()
+def _read(elements: list[_Element], body: bytes, order: str) -> None:
+    """Reads the values; those of a text as records of float64."""
+    text = not order
+    if text:
+        body, order = numbers(decoded(body).split()).tobytes(), "="
     at = 0
     for element in elements:
-        lists = [name for name, length, _ in element.properties if length]
-        if not lists:
-            width = len(element.properties)
-            block = words[at : at + element.count * width]
-            if len(block) < element.count * width:
-                raise _short(element)
-            table = numbers(block).reshape(element.count, width)
-            for column, (name, _, _) in enumerate(element.properties):
-                element.scalars[name] = table[:, column]
-            at += len(block)
-            continue
-        values: dict[str, list[str]] = {n: [] for n, _, _ in element.properties}
-        sizes: dict[str, list[int]] = {name: [] for name in lists}
+        properties = element.properties
+        if text:
+            properties = [
+                (n, length and "f8", "f8") for n, length, _ in properties
+            ]
+        if element.count:
+            at = _read_element(element, properties, body, at, order)
+
+
+def _read_element(
+    element: _Element,
+    properties: list[tuple[str, str, str]],
+    body: bytes,
+    at: int,
+    order: str,
+) -> int:
+    """Reads an element's values; returns where they end."""
+    first, _ = _record(element, properties, body, at, order)
+    fields: list[tuple[Any, ...]] = []
+    for (name, length, kind), values in zip(properties, first, strict=True):
+        if length:
+            fields.append((f"#{name}", order + length))
+        fields.append((name, order + kind, values.shape if length else ()))
+    record = np.dtype(fields)
+    end = at + element.count * record.itemsize
+    lists = [name for name, length, _ in properties if length]
+    table = np.zeros(0, record)
+    if end <= len(body):
+        table = np.frombuffer(body, record, element.count, at)
+    if len(table) and all(
+        (table[f"#{name}"] == table[name].shape[1]).all() for name in lists
+    ):
+        columns = [table[name] for name, _, _ in properties]
+        sizes = {
+            name: np.full(len(table), table[name].shape[1]) for name in lists
+        }
+    else:
+        rows, end = [], at
         for _ in range(element.count):
-            for name, length, _ in element.properties:
-                count = 1
-                if length:
-                    if at >= len(words):
-                        raise _short(element)
-                    count = int(words[at])
-                    sizes[name].append(count)
-                    at += 1
-                values[name] += words[at : at + count]
-                at += count
-        if at > len(words):
-            raise _short(element)
-        for name, length, _ in element.properties:
-            if length:
-                element.lists[name] = (
-                    np.array(sizes[name], dtype=np.int64),
-                    numbers(values[name]),
-                )
-            else:
-                element.scalars[name] = numbers(values[name])
-
-
-def _read_binary(elements: list[_Element], body: bytes, order: str) -> None:
-    at = 0
-    for element in elements:
-        if not element.count:
-            continue
-        widths = _first_widths(element, body, at, order)
-        kinds: list[tuple[Any, ...]] = []
-        for (name, length, kind), width in zip(
-            element.properties, widths, strict=True
-        ):
-            if length:
-                kinds.append((f"#{name}", order + length))
-                kinds.append((name, order + kind, (width,)))
-            else:
-                kinds.append((name, order + kind))
-        record = np.dtype(kinds)
-        uniform = len(body) - at >= element.count * record.itemsize
-        if uniform:
-            table = np.frombuffer(body, record, element.count, at)
-            uniform = all(
-                bool((table[f"#{name}"] == width).all())
-                for (name, length, _), width in zip(
-                    element.properties, widths, strict=True
-                )
-                if length
-            )
-        if not uniform:
-            at = _read_records(element, body, at, order)
-            continue
-        at += element.count * record.itemsize
-        for (name, length, _), width in zip(
-            element.properties, widths, strict=True
-        ):
-            if length:
-                element.lists[name] = (
-                    np.full(element.count, width, np.int64),
-                    np.ravel(table[name]),
-                )
-            else:
-                element.scalars[name] = table[name]
-
-
-def _first_widths(
-    element: _Element, body: bytes, at: int, order: str
-) -> list[int]:
-    return [len(values) for values, _ in _record(element, body, at, order)]
+            row, end = _record(element, properties, body, end, order)
+            rows.append(row)
+        columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+        sizes = {
+            name: np.array([len(row[k]) for row in rows])
+            for k, (name, length, _) in enumerate(properties)
+            if length
+        }
+    for (name, _, _), column in zip(properties, columns, strict=True):
+        if name in sizes:
+            element.lists[name] = sizes[name], np.ravel(column)
+        else:
+            element.scalars[name] = column
+    return end
 
 
 def _record(
-    element: _Element, body: bytes, at: int, order: str
-) -> Iterator[tuple[np.ndarray, int]]:
-    """Yields the values of each property of a record and where they end."""
-    for _, length, kind in element.properties:
+    element: _Element,
+    properties: list[tuple[str, str, str]],
+    body: bytes,
+    at: int,
+    order: str,
+) -> tuple[list[np.ndarray], int]:
+    """Reads the values of each property of one record, and where it ends."""
+    record = []
+    for _, length, kind in properties:
         try:
             count = 1
             if length:
@@ -243,35 +218,13 @@ def _record(
                 at += np.dtype(length).itemsize
             values = np.frombuffer(body, order + kind, max(count, 0), at)
         except ValueError:
-            raise _short(element) from None
+            raise ValueError(
+                f"it ends before the last of its {element.count} "
+                f"{element.name} entries"
+            ) from None
         at += values.nbytes
-        yield values, at
-
-
-def _read_records(element: _Element, body: bytes, at: int, order: str) -> int:
-    columns: list[list[np.ndarray]] = [[] for _ in element.properties]
-    for _ in range(element.count):
-        for column, (values, end) in zip(
-            columns, _record(element, body, at, order), strict=True
-        ):
-            column.append(values)
-            at = end
-    for (name, length, _), column in zip(
-        element.properties, columns, strict=True
-    ):
-        flat = np.concatenate(column)
-        if length:
-            sizes = np.array([len(values) for values in column], np.int64)
-            element.lists[name] = (sizes, flat)
-        else:
-            element.scalars[name] = flat
-    return at
-
-
-def _short(element: _Element) -> ValueError:
-    return ValueError(
-        f"it ends before the last of its {element.count} {element.name} entries"
-    )
+        record.append(values)
+    return record, at
 
 
 def _corners(faces: _Element) -> tuple[np.ndarray, np.ndarray]:
