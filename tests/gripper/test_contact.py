@@ -11,7 +11,7 @@ from xray_drake.gripper.actuation.contact import (
     ContactActuation,
     ContactState,
     ExecutionConfig,
-    Measurements,
+    Measured,
     Step,
 )
 from xray_drake.gripper.carriers.carrier import Tracking
@@ -110,7 +110,7 @@ class Script:
         closing = at is not Phase.APPROACH
         finger = min(before.finger, shut) if closing else before.finger
         drawn = self.vacuum(at, since) if before.suction else 0.0
-        measured = Measurements(
+        measured = Measured(
             time=self.time,
             tracking=Tracking(joints, still, desired, still, still),
             finger=finger,

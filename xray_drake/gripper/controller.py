@@ -8,7 +8,7 @@ from xray_drake.gripper.actuation.contact import (
     ContactActuation,
     ContactState,
     ExecutionConfig,
-    Measurements,
+    Measured,
 )
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.suction import CupState
@@ -16,7 +16,7 @@ from xray_drake.gripper.system import TransferSystem
 from xray_drake.gripper.yumi import YumiGripper
 
 
-class GripperController(TransferSystem[ContactState, Measurements]):
+class GripperController(TransferSystem[ContactState, Measured]):
     """Lifts objects with fingers or suction cup, and feels whether it does.
 
     .. pydrake_system::
@@ -110,11 +110,11 @@ class GripperController(TransferSystem[ContactState, Measurements]):
     def _calc_suction(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector([float(self.state(context).suction)])
 
-    def _measure(self, context: Context, state: ContactState) -> Measurements:
+    def _measure(self, context: Context, state: ContactState) -> Measured:
         time = context.get_time()
         q, v = np.split(self._carrier.Eval(context), 2)
         due = time - self._time_step
-        return Measurements(
+        return Measured(
             time=time,
             tracking=Tracking(
                 q, v, *state.path.sample(due), state.path.acceleration(due)

@@ -99,7 +99,7 @@ class TransferState(Message):
     carried: int = 0
 
 
-class Measured(Protocol):
+class Timed(Protocol):
     """What an actuation measures at one instant; each adds its own."""
 
     @property
@@ -108,7 +108,7 @@ class Measured(Protocol):
 
 
 S = TypeVar("S", bound=TransferState)
-M = TypeVar("M", bound=Measured)
+M = TypeVar("M", bound=Timed)
 
 
 class Actuation(ABC, Generic[S, M]):
@@ -126,11 +126,11 @@ class Actuation(ABC, Generic[S, M]):
     touches: bool
 
     @abstractmethod
-    def update(self, state: S, measured: M) -> S:
+    def update(self, state: S, now: M) -> S:
         """Returns the state a period later, before any change of phase."""
 
     @abstractmethod
-    def move(self, state: S, measured: M) -> S:
+    def move(self, state: S, now: M) -> S:
         """Returns the state with the motion of the phase that begins.
 
         Raises:
@@ -138,11 +138,11 @@ class Actuation(ABC, Generic[S, M]):
         """
 
     @abstractmethod
-    def arrived(self, state: S, measured: M) -> bool:
+    def arrived(self, state: S, now: M) -> bool:
         """Says whether the motion of the phase is over."""
 
     @abstractmethod
-    def grasp(self, state: S, measured: M) -> tuple[S, bool]:
+    def grasp(self, state: S, now: M) -> tuple[S, bool]:
         """Goes on with the grasp; returns the state, and whether it holds.
 
         Raises:
@@ -150,14 +150,14 @@ class Actuation(ABC, Generic[S, M]):
         """
 
     @abstractmethod
-    def at_rest(self, state: S, measured: M) -> bool:
+    def at_rest(self, state: S, now: M) -> bool:
         """Says whether all that may move is at rest."""
 
-    def lost(self, state: S, measured: M) -> str:
+    def lost(self, state: S, now: M) -> str:
         """Returns why what was held is not held any more, or nothing."""
         return ""
 
-    def trouble(self, state: S, measured: M) -> str:
+    def trouble(self, state: S, now: M) -> str:
         """Returns why the action cannot go on, or nothing."""
         return ""
 
@@ -174,12 +174,12 @@ class Transfer(Generic[S, M]):
         """Takes what moves, grasps and measures."""
         self._actuation = actuation
 
-    def begin(self, state: S, action: SearchAction, measured: M) -> S:
+    def begin(self, state: S, action: SearchAction, now: M) -> S:
         """Takes up an action; ``state`` is idle."""
         state = replace(
             state,
             action=action,
-            began=measured.time,
+            began=now.time,
             outcome=Outcome.NONE,
             reason="",
         )
@@ -188,18 +188,18 @@ class Transfer(Generic[S, M]):
                 state, outcome=Outcome.NO_GRASP, reason=action.why_no_grasp
             )
         try:
-            return self._enter(state, Phase.APPROACH, measured)
+            return self._enter(state, Phase.APPROACH, now)
         except TransferError as error:
             return replace(state, outcome=Outcome.FAILED, reason=str(error))
 
-    def advance(self, state: S, measured: M) -> S:
+    def advance(self, state: S, now: M) -> S:
         """Returns the state a period later."""
-        state = self._actuation.update(state, measured)
+        state = self._actuation.update(state, now)
         while True:
             try:
-                following = self._step(state, measured)
+                following = self._step(state, now)
             except TransferError as error:
-                following = self._abort(state, measured, str(error))
+                following = self._abort(state, now, str(error))
             if following.phase is state.phase:
                 return following
             state = following
@@ -227,42 +227,42 @@ class Transfer(Generic[S, M]):
             else (name,),
         )
 
-    def _step(self, state: S, measured: M) -> S:
+    def _step(self, state: S, now: M) -> S:
         actuation, phase = self._actuation, state.phase
         if phase in _TRYING:
-            lost = actuation.lost(state, measured) if phase in HOLDING else ""
+            lost = actuation.lost(state, now) if phase in HOLDING else ""
             if lost and phase is Phase.LOWER:
-                return self._enter(state, Phase.RELEASE, measured)
-            why = lost or actuation.trouble(state, measured)
+                return self._enter(state, Phase.RELEASE, now)
+            why = lost or actuation.trouble(state, now)
             if why:
-                return self._abort(state, measured, why)
+                return self._abort(state, now, why)
         if phase is Phase.GRASP:
-            state, holds = actuation.grasp(state, measured)
-            return self._enter(state, Phase.LIFT, measured) if holds else state
-        if phase is Phase.IDLE or not self._is_over(state, measured):
+            state, holds = actuation.grasp(state, now)
+            return self._enter(state, Phase.LIFT, now) if holds else state
+        if phase is Phase.IDLE or not self._is_over(state, now):
             return state
-        return self._enter(state, _NEXT[phase], measured)
+        return self._enter(state, _NEXT[phase], now)
 
-    def _is_over(self, state: S, measured: M) -> bool:
+    def _is_over(self, state: S, now: M) -> bool:
         actuation = self._actuation
         if state.phase not in actuation.waits:
-            return actuation.arrived(state, measured)
+            return actuation.arrived(state, now)
         least, most = actuation.waits[state.phase]
-        waited = measured.time - state.since
+        waited = now.time - state.since
         return waited >= most or (
-            waited >= least and actuation.at_rest(state, measured)
+            waited >= least and actuation.at_rest(state, now)
         )
 
-    def _enter(self, state: S, phase: Phase, measured: M) -> S:
-        state = replace(state, phase=phase, since=measured.time)
+    def _enter(self, state: S, phase: Phase, now: M) -> S:
+        state = replace(state, phase=phase, since=now.time)
         if phase is Phase.RELEASE:
             state = replace(
                 state, outcome=Outcome.LIFTED, carried=state.carried + 1
             )
-        return self._actuation.move(state, measured)
+        return self._actuation.move(state, now)
 
-    def _abort(self, state: S, measured: M, reason: str) -> S:
+    def _abort(self, state: S, now: M, reason: str) -> S:
         held = state.phase in HOLDING
         outcome = Outcome.SLIPPED if held else Outcome.FAILED
         state = replace(state, outcome=outcome, reason=reason)
-        return self._enter(state, Phase.ABORT, measured)
+        return self._enter(state, Phase.ABORT, now)

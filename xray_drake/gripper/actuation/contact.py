@@ -82,7 +82,7 @@ class Step(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements:
+class Measured:
     """What a gripper measures of itself.
 
     Attributes:
@@ -130,12 +130,12 @@ class ContactState(TransferState):
     suction: bool = False
 
 
-class ContactActuation(Actuation[ContactState, Measurements]):
+class ContactActuation(Actuation[ContactState, Measured]):
     """Moves a carrier, closes pads, and seals a cup.
 
     It approaches to above the grasp, while the fingers open; descends straight
     and guarded: it stops when it touches; closes or seals. It lowers guarded,
-    too. What it knows of the world is what :class:`Measurements` has.
+    too. What it knows of the world is what :class:`Measured` has.
     """
 
     touches = True
@@ -176,14 +176,12 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         """Returns the state at home."""
         return ContactState(path=stay(self._carrier.home, 0.0, 0.01))
 
-    def update(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def update(self, state: ContactState, now: Measured) -> ContactState:
         """Moves the fingers; opens them when they are high on the way home."""
         gripper = self._gripper
         step = gripper.finger_speed * self._period
         lead = self._force / gripper.finger_stiffness
-        to = min(state.finger_target, measured.finger + lead)
+        to = min(state.finger_target, now.finger + lead)
         change = float(np.clip(to - state.finger, -step, step))
         finger = state.finger + change
         rate = change / self._period if abs(change) > 0.99 * step else 0.0
@@ -193,12 +191,12 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         if (
             state.phase is Phase.HOME
             and state.finger_target != 0.0
-            and self._at(measured.tracking.q)[2] > high
+            and self._at(now.tracking.q)[2] > high
         ):
             state = replace(state, finger_target=0.0)
         return state
 
-    def move(self, state: ContactState, measured: Measurements) -> ContactState:
+    def move(self, state: ContactState, now: Measured) -> ContactState:
         """Returns the state with the path of a phase that moves."""
         begin = {
             Phase.APPROACH: self._approach,
@@ -209,22 +207,22 @@ class ContactActuation(Actuation[ContactState, Measurements]):
             Phase.ABORT: self._retreat,
             Phase.HOME: self._homeward,
         }.get(state.phase)
-        return begin(state, measured) if begin else state
+        return begin(state, now) if begin else state
 
-    def arrived(self, state: ContactState, measured: Measurements) -> bool:
+    def arrived(self, state: ContactState, now: Measured) -> bool:
         """Says whether the path is over, or what is lowered touches."""
-        over = measured.time >= state.path.end_time
+        over = now.time >= state.path.end_time
         if state.phase is Phase.APPROACH:
-            ready = abs(measured.finger - state.finger_target) < 0.001
+            ready = abs(now.finger - state.finger_target) < 0.001
             return over and ready
         if state.phase is Phase.LOWER:
             down = np.array([0.0, 0.0, -1.0])
             limit = self._config.contact_force
-            return over or self._contact_force(measured, down) > limit
+            return over or self._contact_force(now, down) > limit
         return over
 
     def grasp(
-        self, state: ContactState, measured: Measurements
+        self, state: ContactState, now: Measured
     ) -> tuple[ContactState, bool]:
         """Descends until it touches, then closes the jaw or seals the cup."""
         suction = state.action.grasp.kind is GraspKind.SUCTION
@@ -236,31 +234,31 @@ class ContactActuation(Actuation[ContactState, Measurements]):
                 Leg(touch, config.approach_speed),
                 Leg(last, config.touch_speed),
             )
-            state = self._go(state, measured, *legs)
+            state = self._go(state, now, *legs)
             return replace(state, step=Step.DESCEND, suction=suction), False
         if state.step is Step.DESCEND:
-            return self._descend(state, measured, suction), False
+            return self._descend(state, now, suction), False
         if suction:
-            return state, self._seals(state, measured)
-        return self._close(state, measured)
+            return state, self._seals(state, now)
+        return self._close(state, now)
 
-    def at_rest(self, state: ContactState, measured: Measurements) -> bool:
+    def at_rest(self, state: ContactState, now: Measured) -> bool:
         """Says so of the cell."""
-        return measured.at_rest
+        return now.at_rest
 
-    def lost(self, state: ContactState, measured: Measurements) -> str:
+    def lost(self, state: ContactState, now: Measured) -> str:
         """Says why jaw or cup are empty."""
         if state.action.grasp.kind is GraspKind.SUCTION:
-            if measured.cup.vacuum < self._config.lost:
-                return measured.cup.lost or "the vacuum is gone"
-        elif self._width(measured) < self._config.empty_width:
+            if now.cup.vacuum < self._config.lost:
+                return now.cup.lost or "the vacuum is gone"
+        elif self._width(now) < self._config.empty_width:
             return "it slipped out of the jaw"
         return ""
 
-    def trouble(self, state: ContactState, measured: Measurements) -> str:
+    def trouble(self, state: ContactState, now: Measured) -> str:
         """Says whether time is over, or the carrier does not follow."""
-        config, tracking = self._config, measured.tracking
-        if measured.time - state.began > config.give_up:
+        config, tracking = self._config, now.tracking
+        if now.time - state.began > config.give_up:
             return f"gave up after {config.give_up:g} s"
         lag = self._at(tracking.q_desired) - self._at(tracking.q)
         if np.linalg.norm(lag) > config.stuck_distance:
@@ -269,15 +267,13 @@ class ContactActuation(Actuation[ContactState, Measurements]):
 
     # What it measures.
 
-    def _width(self, measured: Measurements) -> float:
+    def _width(self, now: Measured) -> float:
         """Returns the distance of the pads, m."""
-        return 2.0 * (self._gripper.finger_travel - measured.finger)
+        return 2.0 * (self._gripper.finger_travel - now.finger)
 
-    def _contact_force(
-        self, measured: Measurements, direction: np.ndarray
-    ) -> float:
+    def _contact_force(self, now: Measured, direction: np.ndarray) -> float:
         """Returns the force against a direction in the world, N."""
-        return float(self._carrier.force(measured.tracking) @ direction)
+        return float(self._carrier.force(now.tracking) @ direction)
 
     def _at(self, q: np.ndarray) -> np.ndarray:
         """Returns where the tool's origin is, (3,), m."""
@@ -286,32 +282,30 @@ class ContactActuation(Actuation[ContactState, Measurements]):
     # The grasp.
 
     def _descend(
-        self, state: ContactState, measured: Measurements, suction: bool
+        self, state: ContactState, now: Measured, suction: bool
     ) -> ContactState:
-        sealing = suction and measured.cup.vacuum > 0.0
-        if not sealing and measured.time < state.path.end_time:
+        sealing = suction and now.cup.vacuum > 0.0
+        if not sealing and now.time < state.path.end_time:
             direction, config = state.action.grasp.X_WG[:3, 2], self._config
-            if self._contact_force(measured, direction) < config.contact_force:
+            if self._contact_force(now, direction) < config.contact_force:
                 return state
-            left = self._at(state.goal) - self._at(measured.tracking.q)
+            left = self._at(state.goal) - self._at(now.tracking.q)
             left = float(left @ direction)
             if left > config.max_retreat:
                 raise TransferError(
                     f"stopped {1e3 * left:.0f} mm before the grasp"
                 )
-        return replace(
-            self._wait(state, measured), step=Step.CLOSE, since=measured.time
-        )
+        return replace(self._wait(state, now), step=Step.CLOSE, since=now.time)
 
     def _close(
-        self, state: ContactState, measured: Measurements
+        self, state: ContactState, now: Measured
     ) -> tuple[ContactState, bool]:
         gripper = self._gripper
         if state.finger_target < 2 * gripper.finger_travel:
             return replace(state, finger_target=np.inf), False
-        if self._width(measured) < self._config.empty_width:
+        if self._width(now) < self._config.empty_width:
             raise TransferError("the jaw closed on nothing")
-        time, finger = measured.time, measured.finger
+        time, finger = now.time, now.finger
         if abs(finger - state.still) > 2e-4:
             state = replace(state, still=finger, still_since=time)
         squeeze = state.finger - finger
@@ -322,11 +316,11 @@ class ContactActuation(Actuation[ContactState, Measurements]):
             raise TransferError("the jaw does not come to rest")
         return state, False
 
-    def _seals(self, state: ContactState, measured: Measurements) -> bool:
-        if measured.cup.vacuum > self._config.sealed:
+    def _seals(self, state: ContactState, now: Measured) -> bool:
+        if now.cup.vacuum > self._config.sealed:
             return True
-        if measured.time - state.since > self._config.seal_timeout:
-            raise TransferError(measured.cup.lost or "the cup does not seal")
+        if now.time - state.since > self._config.seal_timeout:
+            raise TransferError(now.cup.lost or "the cup does not seal")
         return False
 
     # Paths.
@@ -334,32 +328,28 @@ class ContactActuation(Actuation[ContactState, Measurements]):
     def _go(
         self,
         state: ContactState,
-        measured: Measurements,
+        now: Measured,
         *legs: Leg,
         start: np.ndarray | None = None,
     ) -> ContactState:
         """Sets out along legs, from the end of the last path by default."""
         start = state.path.end if start is None else start
         path = self._carrier.path(
-            start, legs, measured.time, acceleration=self._config.acceleration
+            start, legs, now.time, acceleration=self._config.acceleration
         )
         return replace(state, path=path)
 
-    def _wait(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _wait(self, state: ContactState, now: Measured) -> ContactState:
         """Stops where the carrier is."""
-        time = measured.time
+        time = now.time
         return replace(
             state,
-            path=stay(measured.tracking.q, time, 0.01),
-            still=measured.finger,
+            path=stay(now.tracking.q, time, 0.01),
+            still=now.finger,
             still_since=time,
         )
 
-    def _approach(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _approach(self, state: ContactState, now: Measured) -> ContactState:
         config, gripper = self._config, self._gripper
         grasp, home = state.action.grasp, gripper.carrier.home
         suction = grasp.kind is GraspKind.SUCTION
@@ -390,7 +380,7 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         self._over_tote(state, over)  # Or it could not be brought there.
         rise = self._carrier.at_height(home, self._transit)
         legs = Leg(rise, free=True), Leg(over, config.speed, free=True)
-        return self._go(state, measured, *legs)
+        return self._go(state, now, *legs)
 
     def _pose(self, grasp: Grasp, advance: float) -> np.ndarray:
         """Returns X_WT at a grasp, or before or beyond it (m)."""
@@ -412,45 +402,35 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         """Returns the height of the tool's origin at which it lets go, m."""
         return self._at(state.goal)[2] + self._config.release_height
 
-    def _lift(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _lift(self, state: ContactState, now: Measured) -> ContactState:
         start = state.path.end
         height = max(self._transit, self._at(start)[2])
         top = self._carrier.at_height(start, height)
         state = replace(state, step=Step.NONE)
-        return self._go(state, measured, Leg(top, self._config.lift_speed))
+        return self._go(state, now, Leg(top, self._config.lift_speed))
 
-    def _carry(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _carry(self, state: ContactState, now: Measured) -> ContactState:
         to = self._over_tote(state, state.path.end)
         leg = Leg(to, self._config.speed, free=True)
-        return self._go(state, measured, leg)
+        return self._go(state, now, leg)
 
-    def _lower(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _lower(self, state: ContactState, now: Measured) -> ContactState:
         start = state.path.end
         height = min(self._at(start)[2], self._release_height(state))
         to = self._carrier.at_height(start, height)
-        return self._go(state, measured, Leg(to, self._config.lift_speed))
+        return self._go(state, now, Leg(to, self._config.lift_speed))
 
-    def _release(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _release(self, state: ContactState, now: Measured) -> ContactState:
         jaw = state.action.grasp.kind is GraspKind.JAW
         return replace(
-            self._wait(state, measured),
+            self._wait(state, now),
             suction=False,
             finger_target=0.0 if jaw else state.finger_target,
         )
 
-    def _retreat(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _retreat(self, state: ContactState, now: Measured) -> ContactState:
         """Goes back the way it came, if it is still down, and gives up."""
-        q = to = measured.tracking.q
+        q = to = now.tracking.q
         if state.step is not Step.NONE:
             back, *_ = state.descent
             height = max(self._at(back)[2], self._at(q)[2])
@@ -458,14 +438,12 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         leg = Leg(to, self._config.lift_speed, free=True)
         dropped = state.outcome is Outcome.SLIPPED
         return replace(
-            self._go(state, measured, leg, start=q),
+            self._go(state, now, leg, start=q),
             suction=False,
-            finger_target=0.0 if dropped else measured.finger,
+            finger_target=0.0 if dropped else now.finger,
         )
 
-    def _homeward(
-        self, state: ContactState, measured: Measurements
-    ) -> ContactState:
+    def _homeward(self, state: ContactState, now: Measured) -> ContactState:
         start, home = state.path.end, self._gripper.carrier.home
         height = max(self._transit, self._at(start)[2])
         up = self._carrier.at_height(start, height)
@@ -473,4 +451,4 @@ class ContactActuation(Actuation[ContactState, Measurements]):
         legs = (
             Leg(q, self._config.speed, free=True) for q in (up, across, home)
         )
-        return self._go(state, measured, *legs)
+        return self._go(state, now, *legs)

@@ -98,7 +98,7 @@ class IdealState(TransferState):
 
 
 @dataclass(frozen=True, eq=False)
-class HeapMeasured:
+class Measured:
     """Where all objects are.
 
     Attributes:
@@ -110,7 +110,7 @@ class HeapMeasured:
     poses: Mapping[str, np.ndarray]
 
 
-class IdealActuation(Actuation[IdealState, HeapMeasured]):
+class IdealActuation(Actuation[IdealState, Measured]):
     """Grasps what the judge says that it holds, and draws it by a spring.
 
     What cannot follow, since it is wedged under others, has slipped. What has
@@ -144,22 +144,22 @@ class IdealActuation(Actuation[IdealState, HeapMeasured]):
             segment=Segment(HOME, HOME, 0.0, 1.0), rest=self._new_rest()
         )
 
-    def update(self, state: IdealState, measured: HeapMeasured) -> IdealState:
+    def update(self, state: IdealState, now: Measured) -> IdealState:
         """Looks at what may still move, while it waits for it."""
         if state.phase not in (Phase.CHECK, Phase.SETTLE):
             return state
         held = state.action.grasp.object if state.phase is Phase.CHECK else ""
         points = corners_in_cell(
             (self._models[name], X_WO)
-            for name, X_WO in measured.poses.items()
+            for name, X_WO in now.poses.items()
             if name != held
         )
-        rest = state.rest.update(measured.time, points)
+        rest = state.rest.update(now.time, points)
         return state if rest is state.rest else replace(state, rest=rest)
 
-    def move(self, state: IdealState, measured: HeapMeasured) -> IdealState:
+    def move(self, state: IdealState, now: Measured) -> IdealState:
         """Returns the state with the segment of a phase that moves."""
-        grasp, poses, time = state.action.grasp, measured.poses, measured.time
+        grasp, poses, time = state.action.grasp, now.poses, now.time
         duration = self._config.approach_time
         if state.phase is Phase.APPROACH:
             segment = Segment(HOME, grasp.X_WG, time, duration)
@@ -184,16 +184,16 @@ class IdealActuation(Actuation[IdealState, HeapMeasured]):
             return state
         return replace(state, segment=segment)
 
-    def arrived(self, state: IdealState, measured: HeapMeasured) -> bool:
+    def arrived(self, state: IdealState, now: Measured) -> bool:
         """Says whether a segment is over; nothing waits for the way home."""
         return (
             state.phase is Phase.HOME
             or state.outcome is Outcome.SLIPPED
-            or state.segment.is_over(measured.time)
+            or state.segment.is_over(now.time)
         )
 
     def grasp(
-        self, state: IdealState, measured: HeapMeasured
+        self, state: IdealState, now: Measured
     ) -> tuple[IdealState, bool]:
         """Asks the judge about the grasp with its errors; it holds at once."""
         action = state.action
@@ -201,7 +201,7 @@ class IdealActuation(Actuation[IdealState, HeapMeasured]):
         X_WG, friction = perturb(action.grasp, rng, self._config.perturbation)
         judged = self._judge.judge(
             action.grasp,
-            measured.poses,
+            now.poses,
             X_WG_perturbed=X_WG,
             friction=friction,
         )
@@ -209,18 +209,18 @@ class IdealActuation(Actuation[IdealState, HeapMeasured]):
             raise TransferError(judged.reason)
         return state, True
 
-    def at_rest(self, state: IdealState, measured: HeapMeasured) -> bool:
+    def at_rest(self, state: IdealState, now: Measured) -> bool:
         """Says so of all objects; a grasp that failed has moved none."""
         return state.outcome is Outcome.FAILED or state.rest.at_rest
 
-    def trouble(self, state: IdealState, measured: HeapMeasured) -> str:
+    def trouble(self, state: IdealState, now: Measured) -> str:
         """Says whether the object lags too far behind."""
         if state.phase not in HOLDING:
             return ""
         name = state.action.grasp.object
-        X = measured.poses[name]
+        X = now.poses[name]
         p_WCom = X[:3, 3] + X[:3, :3] @ self._models[name].p_OCom
-        desired, _, _ = state.segment.sample(measured.time)
+        desired, _, _ = state.segment.sample(now.time)
         lag = np.linalg.norm(desired[:3, 3] - p_WCom)
         return "could not follow" if lag > self._config.slip_distance else ""
 
@@ -261,7 +261,7 @@ class DrawnGripper:
     opening: float
 
 
-class QuasiStaticGripper(TransferSystem[IdealState, HeapMeasured]):
+class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
     """Lifts objects by an ideal grip, where the grasp would hold.
 
     .. pydrake_system::
@@ -348,9 +348,9 @@ class QuasiStaticGripper(TransferSystem[IdealState, HeapMeasured]):
             "position", 9, self._calc_position, prerequisites_of_calc=moving
         )
 
-    def _measure(self, context: Context, state: IdealState) -> HeapMeasured:
+    def _measure(self, context: Context, state: IdealState) -> Measured:
         poses = self._poses.Eval(context)
-        return HeapMeasured(
+        return Measured(
             context.get_time(),
             {
                 name: poses[index].GetAsMatrix4()

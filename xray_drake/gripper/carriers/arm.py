@@ -1,5 +1,6 @@
 """Joint positions and paths of the YuMi-like arm."""
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 
@@ -22,9 +23,6 @@ these joint positions, and there along x and y, m."""
 _SEEDS = 12
 """Joint positions that inverse kinematics begins at."""
 
-_CHAINS = 3
-"""Ways to be at a pose and to go on that it chooses from."""
-
 _STEP = 0.02
 _TURN = 0.1
 """Ways are followed in steps of this much at most, m and rad."""
@@ -37,6 +35,8 @@ _LEVER = 0.3
 
 _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 """The tool is turned by so much more than the arm, tried in this order."""
+
+_ROUNDS = (0.0, 2 * np.pi, -2 * np.pi)
 
 _TURNING_RADIUS = (0.22, 0.34)
 """So near axis 1 is the tool while the arm turns, to pass base and posts, m."""
@@ -92,42 +92,19 @@ reach`) finds some, from several seeds; from there a straight path is followed
         Raises:
             ReachError: it cannot be at one of them, or not go straight.
         """
-        chains: list[list[np.ndarray]] = []
-        reached = False
+        reached = ""
         for q in self._configurations(poses[0], near):
-            reached = True
-            chain = self._chain(q, poses[1:])
-            if chain is not None:
-                chains.append(chain)
-            if len(chains) == _CHAINS:
-                break
-        if chains:
-            return min(
-                chains, key=lambda c: round(self._turning(near, c[-1]), _DIGITS)
-            )
+            reached = "straight on from the "
+            found = [q]
+            for X_WT in poses[1:]:
+                way = self._straight_on(found[-1], X_WT)
+                if not _is_at(self.pose(way), X_WT):
+                    break
+                found.append(way)
+            else:
+                return found
         p = ", ".join(f"{x:.2f}" for x in poses[0][:3, 3])
-        if not reached:
-            raise ReachError(f"out of the arm's reach: tool at ({p}) m")
-        raise ReachError(
-            f"out of the arm's reach: straight on from the tool at ({p}) m"
-        )
-
-    def _turning(self, start: np.ndarray, end: np.ndarray) -> float:
-        """Returns how far joints turn, beside the arm as a whole, rad."""
-        facing = self._facing(start, self.pose(end))
-        return float(np.abs(end - facing).max())
-
-    def _chain(
-        self, q: np.ndarray, poses: Sequence[np.ndarray]
-    ) -> list[np.ndarray] | None:
-        """Returns q and joint positions at poses straight on, or None."""
-        found = [q]
-        for X_WT in poses:
-            way = self._follow(found[-1], X_WT)
-            if way is None:
-                return None
-            found.append(way[-1])
-        return found
+        raise ReachError(f"out of the arm's reach: {reached}tool at ({p}) m")
 
     def at_height(self, q: np.ndarray, height: float) -> np.ndarray:
         """Returns q with the tool straight above or below, at a height (m).
@@ -135,14 +112,8 @@ reach`) finds some, from several seeds; from there a straight path is followed
         Where the tool cannot go as far, it goes as far as it can.
         """
         X_WT = self.pose(q)
-        rise = height - X_WT[2, 3]
-        for _ in range(int(np.ceil(abs(rise) / _STEP))):
-            X_WT[2, 3] += np.clip(height - X_WT[2, 3], -_STEP, _STEP)
-            way = self._follow(q, X_WT)
-            if way is None:
-                break
-            q = way[-1]
-        return q
+        X_WT[2, 3] = height
+        return self._straight_on(q, X_WT)
 
     def over(
         self,
@@ -168,11 +139,18 @@ reach`) finds some, from several seeds; from there a straight path is followed
             ReachError: beyond its reach.
         """
         X_WT = self.pose(q)
+        turn = _azimuth(place) - _azimuth(X_WT[:3, :3] @ p_T + X_WT[:3, 3])
         found: list[tuple[float, np.ndarray]] = []
-        turns = self._turns_over(X_WT, p_T, q, place)
-        for turn in turns:
-            X = self._moved_over(X_WT, p_T, place, turn)
-            knots = self._turned(q, X, turn)
+        ways: list[tuple[float, np.ndarray]] = []
+        for more, full in itertools.product(_TURNS, _ROUNDS):
+            angle = turn + full + more
+            X = np.array(X_WT)
+            X[:3, :3] = _about_vertical(angle) @ X_WT[:3, :3]
+            X[:2, 3] = place - (X[:3, :3] @ p_T)[:2]
+            if self._can_turn(q, angle):
+                ways.append((angle, X))
+        for angle, X in ways:
+            knots = self._turned(q, X, angle)
             if knots is None or not self._is_clear(knots):
                 continue
             there = knots[-1]
@@ -180,48 +158,14 @@ reach`) finds some, from several seeds; from there a straight path is followed
             if down < lowest + _NEAR_ENOUGH:
                 return there
             found.append((down, there))
-        for turn in () if found else turns:
-            X = self._moved_over(X_WT, p_T, place, turn)
-            try:
-                (there,) = self.along([X], near=q)
-            except ReachError:
-                continue
-            if self._is_clear(self._swing(q, there)):
-                return there
         if found:
             return min(found, key=lambda item: round(item[0], _DIGITS))[1]
+        for _, X in ways:
+            for there in self._configurations(X, q):
+                if self._is_clear(self._swing(q, there)):
+                    return there
         at = ", ".join(f"{x:.2f}" for x in place)
         raise ReachError(f"out of the arm's reach: to carry it over ({at}) m")
-
-    def _moved_over(
-        self,
-        X_WT: np.ndarray,
-        p_T: np.ndarray,
-        place: np.ndarray,
-        turn: float,
-    ) -> np.ndarray:
-        """Returns X_WT turned, with a point of the tool over a place."""
-        X = np.array(X_WT)
-        X[:3, :3] = _about_vertical(turn) @ X_WT[:3, :3]
-        X[:2, 3] = place - (X[:3, :3] @ p_T)[:2]
-        return X
-
-    def _turns_over(
-        self,
-        X_WT: np.ndarray,
-        p_T: np.ndarray,
-        q: np.ndarray,
-        place: np.ndarray,
-    ) -> list[float]:
-        """Returns angles to turn the tool by on its way to a place, rad."""
-        turn = _azimuth(place) - _azimuth(X_WT[:3, :3] @ p_T + X_WT[:3, 3])
-        return [
-            turn + full + more
-            for more in _TURNS
-            for full in (0.0, 2 * np.pi, -2 * np.pi)
-            if self.limits.lower[0] < q[0] - turn - full - more
-            and q[0] - turn - full - more < self.limits.upper[0]
-        ]
 
     def force(self, tracking: Tracking) -> np.ndarray:
         """Returns the (3,) force that the tool presses with, N.
@@ -303,8 +247,8 @@ reach`) finds some, from several seeds; from there a straight path is followed
         *,
         centred: bool = True,
         clear: bool = False,
-    ) -> list[np.ndarray] | None:
-        """Returns q and joint positions at poses, one after the other, or None.
+    ) -> list[np.ndarray]:
+        """Returns q and joint positions at poses, as far as it comes.
 
         Args:
             q: (7,) joint positions where it begins.
@@ -319,18 +263,16 @@ reach`) finds some, from several seeds; from there a straight path is followed
             guessed = guess(number, q)
             nearest = self.cell.reach(X_WT, guessed, centred=centred)
             if nearest is None or np.abs(nearest - q).max() > _JUMP:
-                return None
+                break
             if clear and not self.cell.is_clear(nearest):
-                return None
+                break
             q = nearest
             found.append(q)
         return found
 
-    def _follow(
-        self, q: np.ndarray, X_WT: np.ndarray
-    ) -> list[np.ndarray] | None:
-        """Returns joint positions along a straight way to a pose, or None."""
-        return self._track(q, _straight(self.pose(q), X_WT)[1:], clear=True)
+    def _straight_on(self, q: np.ndarray, X_WT: np.ndarray) -> np.ndarray:
+        """Returns joint positions straight on, at a pose or on the way."""
+        return self._track(q, _straight(self.pose(q), X_WT)[1:], clear=True)[-1]
 
     def _line(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Returns joint positions (n, 7) along a straight way.
@@ -343,7 +285,8 @@ reach`) finds some, from several seeds; from there a straight path is followed
         knots = self._track(
             start, poses, lambda number, q: between[number + 1], centred=False
         )
-        if knots is None or np.abs(end - knots[-1]).max() > _JUMP:
+        short = len(knots) <= len(poses)
+        if short or np.abs(end - knots[-1]).max() > _JUMP:
             raise ReachError("out of the arm's reach: no straight way")
         return np.array([*knots, end])
 
@@ -387,12 +330,12 @@ reach`) finds some, from several seeds; from there a straight path is followed
         turn = _azimuth(X_WT[:3, 3]) - azimuth
         turn = (turn + np.pi) % (2 * np.pi) - np.pi
         both = _nearest_first((turn, turn - np.sign(turn) * 2 * np.pi), 0.0)
-        # Axis 1 points down.
-        return [
-            angle
-            for angle in both
-            if self.limits.lower[0] < q[0] - angle < self.limits.upper[0]
-        ]
+        return [angle for angle in both if self._can_turn(q, angle)]
+
+    def _can_turn(self, q: np.ndarray, angle: float) -> bool:
+        """Says whether axis 1, which points down, can turn by an angle, rad."""
+        lower, upper = self.limits.lower[0], self.limits.upper[0]
+        return bool(lower < q[0] - angle < upper)
 
     def _turned(
         self, start: np.ndarray, X_WT: np.ndarray, turn: float
@@ -428,10 +371,14 @@ reach`) finds some, from several seeds; from there a straight path is followed
         turned = np.zeros(7)
         turned[0] = turn / number
         knots = self._track(start, poses, lambda _, q: q - turned)
-        return None if knots is None else np.array(knots)
+        return np.array(knots) if len(knots) > len(poses) else None
 
     def _is_clear(self, knots: np.ndarray) -> bool:
         return all(self.cell.is_clear(q) for q in knots)
+
+
+def _is_at(X_WT: np.ndarray, X: np.ndarray) -> bool:
+    return bool(np.allclose(X_WT, X, rtol=0.0, atol=1e-6))
 
 
 def _straight(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
