@@ -2,25 +2,21 @@
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import SceneGraph
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.gripper.cells import Alone, ContactCell, in_tote, make_gripper
 from tests.gripper.test_contact import CLOSE, WHOLE_WAY, Script
 from tests.gripper.test_contact import take as take_brick
-from tests.gripper.test_controller import Cell, take
+from tests.gripper.test_controller import alone, take
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import MOUNT
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
-from xray_drake.gripper.controller import GripperController
-from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
-from xray_drake.messages import GraspKind, Outcome, SearchAction
+from xray_drake.messages import GraspKind, Outcome
 from xray_drake.scene.cameras import add_camera, nominal_camera
 from xray_drake.scene.plant import (
     TOTE_POSITION,
@@ -35,10 +31,7 @@ LIFT = 0.2
 
 @pytest.fixture(scope="module")
 def gripper() -> YumiGripper:
-    plant = MultibodyPlant(0.005)
-    gripper = add_gripper(plant, carrier="arm")
-    plant.Finalize()
-    return gripper
+    return make_gripper("arm")
 
 
 @pytest.fixture(scope="module")
@@ -171,39 +164,25 @@ def test_two_contexts_of_one_controller_take_turns(
     gripper: YumiGripper,
 ) -> None:
     """Their ways are found with one model of the arm."""
-    system = GripperController(gripper=gripper)
     actions = [
         take(GraspKind.JAW, "brick", (x, y, 0.02), 0.02)
         for x, y in ((0.05, 0.02), (-0.05, -0.04))
     ]
 
-    def begun(action: SearchAction) -> Simulator:
-        simulator = Simulator(system)
-        context = simulator.get_mutable_context()
-        for port, value in (
-            ("carrier_state", np.r_[gripper.carrier.home, np.zeros(7)]),
-            ("finger_state", np.zeros(4)),
-            ("cup_state", AbstractValue.Make(CupState())),
-            ("action", AbstractValue.Make(action)),
-        ):
-            system.GetInputPort(port).FixValue(context, value)
-        return simulator
-
-    def desired(simulator: Simulator, time: float) -> np.ndarray:
-        simulator.AdvanceTo(time)
-        port = system.GetOutputPort("carrier_desired_state")
-        return np.array(port.Eval(simulator.get_context()))
+    def desired(controller: Alone, time: float) -> np.ndarray:
+        controller.simulator.AdvanceTo(time)
+        return np.array(controller.get("carrier_desired_state"))
 
     # Without an arm that follows it aborts soon, and finds its way home.
     times = 0.1 * np.arange(1, 8)
-    alone = []
+    singly = []
     for action in actions:
-        simulator = begun(action)
-        alone.append([desired(simulator, time) for time in times])
-    both = [begun(action) for action in actions]
-    turns = [[desired(simulator, time) for simulator in both] for time in times]
-    np.testing.assert_array_equal(np.swapaxes(turns, 0, 1), alone)
-    assert not np.array_equal(alone[0], alone[1])
+        controller = alone(gripper, action)
+        singly.append([desired(controller, time) for time in times])
+    both = [alone(gripper, action) for action in actions]
+    turns = [[desired(one, time) for one in both] for time in times]
+    np.testing.assert_array_equal(np.swapaxes(turns, 0, 1), singly)
+    assert not np.array_equal(singly[0], singly[1])
 
 
 def test_at_home_it_is_out_of_the_cameras_view() -> None:
@@ -248,9 +227,9 @@ def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:
 
 def test_by_contact_it_brings_an_object_to_the_tote() -> None:
     model = target_model("box_2to1")
-    cell = Cell(model, carrier="arm")
+    cell = ContactCell(model, carrier="arm")
     status, way = cell.run(
         take(GraspKind.JAW, model.name, (0.05, 0.02, 0.0035), 0.0212)
     )
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
-    assert np.all(np.abs(way[-1, :2] - TOTE_POSITION[:2]) < 0.18)
+    assert in_tote(way[-1])

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.multibody.plant import MultibodyPlant
 
+from tests.gripper.cells import downwards, make_gripper
 from xray_drake.gripper.actuation.contact import (
     ContactActuation,
     ContactState,
@@ -17,7 +18,7 @@ from xray_drake.gripper.actuation.contact import (
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.transfer import Phase, Transfer
-from xray_drake.gripper.yumi import YumiGripper, add_gripper
+from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -50,17 +51,13 @@ WHOLE_WAY = [
 
 @pytest.fixture(scope="module")
 def gripper() -> YumiGripper:
-    plant = MultibodyPlant(0.005)
-    gripper = add_gripper(plant)
-    plant.Finalize()
-    return gripper
+    return make_gripper()
 
 
 def take(
     kind: GraspKind = GraspKind.JAW, number: int = 1, z: float = 0.02
 ) -> SearchAction:
-    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WG[:3, 3] = 0.05, -0.03, z
+    X_WG = downwards(0.05, -0.03, z)
     width = WIDTH if kind is GraspKind.JAW else 0.0
     return SearchAction(
         number=number, grasp=Grasp(kind, "brick", X_WG, X_WG, width)
@@ -267,34 +264,87 @@ def failure(script: Script, action: SearchAction) -> GripperStatus:
     return status
 
 
-def test_a_jaw_that_closes_on_nothing(gripper: YumiGripper) -> None:
-    script = Script(gripper)
-    script.width = lambda at, t: 0.0
-    status = failure(script, take())
-    assert status.outcome is Outcome.FAILED
-    assert status.reason == "the jaw closed on nothing"
+def push(at: Phase | Step, force: float, after: float = 0.0) -> Any:
+    """A vertical force on the wrist, N, from a time in a stage on."""
+    return lambda now, t, z: np.array([0, 0, force * (now is at and t > after)])
 
 
-def test_a_cup_that_does_not_seal(gripper: YumiGripper) -> None:
-    script = Script(gripper)
-    script.width = lambda at, t: 0.0
-    status = failure(script, take(GraspKind.SUCTION))
-    assert status.outcome is Outcome.FAILED
-    assert status.reason == "the cup does not seal"
-    reached = script.tool(CLOSE)[2, 3]
-    assert reached == pytest.approx(0.02 - CONFIG.cup_overtravel)
+NOTHING = {"width": lambda at, t: 0.0}
+SLIPPED_OUT = "it slipped out of the jaw"
+FAILURES = [
+    (GraspKind.JAW, NOTHING, Outcome.FAILED, "the jaw closed on nothing"),
+    (GraspKind.SUCTION, NOTHING, Outcome.FAILED, "the cup does not seal"),
+    (
+        GraspKind.JAW,
+        {"push": push(DESCEND, 8.0, 0.8)},
+        Outcome.FAILED,
+        "before the grasp",
+    ),
+    (
+        GraspKind.SUCTION,
+        {"push": push(DESCEND, 8.0, 0.8), **NOTHING},
+        Outcome.FAILED,
+        "before the grasp",
+    ),
+    *(
+        (
+            GraspKind.JAW,
+            {
+                "width": lambda at, t, phase=phase: (
+                    WIDTH * (at is not phase or t <= 0.2)
+                )
+            },
+            Outcome.SLIPPED,
+            SLIPPED_OUT,
+        )
+        for phase in (Phase.LIFT, Phase.CHECK, Phase.CARRY)
+    ),
+    (
+        GraspKind.SUCTION,
+        {
+            "vacuum": lambda at, t: float(
+                at is CLOSE or (at is Phase.LIFT and t < 0.3)
+            ),
+            "why": "it slides off",
+            **NOTHING,
+        },
+        Outcome.SLIPPED,
+        "it slides off",
+    ),
+    *(
+        (
+            GraspKind.JAW,
+            {"push": push(phase, force)},
+            Outcome.SLIPPED,
+            "the wrist is stuck",
+        )
+        for phase, force in ((Phase.LIFT, -400.0), (Phase.LOWER, 400.0))
+    ),
+    (
+        GraspKind.JAW,
+        {"width": lambda at, t: 0.02 + 0.005 * (round(t / 0.05) % 2)},
+        Outcome.FAILED,
+        "the jaw does not come to rest",
+    ),
+]
 
 
-@pytest.mark.parametrize("kind", [GraspKind.JAW, GraspKind.SUCTION])
-def test_something_in_the_way(gripper: YumiGripper, kind: GraspKind) -> None:
-    script = Script(gripper)
-    script.width = lambda at, t: WIDTH * (kind is GraspKind.JAW)
-    script.push = lambda at, t, z: np.array(
-        [0, 0, 8.0 * (at is DESCEND and t > 0.8)]
-    )
-    status = failure(script, take(kind))
-    assert status.outcome is Outcome.FAILED
-    assert "before the grasp" in status.reason
+@pytest.mark.parametrize(("kind", "script", "outcome", "reason"), FAILURES)
+def test_a_failure_is_noticed(
+    gripper: YumiGripper,
+    kind: GraspKind,
+    script: dict[str, Any],
+    outcome: Outcome,
+    reason: str,
+) -> None:
+    run = Script(gripper)
+    vars(run).update(script)
+    status = failure(run, take(kind))
+    assert status.outcome is outcome
+    assert reason in status.reason
+    if reason == "the cup does not seal":
+        reached = run.tool(CLOSE)[2, 3]
+        assert reached == pytest.approx(0.02 - CONFIG.cup_overtravel)
 
 
 def test_touching_a_little_early_is_no_failure(gripper: YumiGripper) -> None:
@@ -306,15 +356,6 @@ def test_touching_a_little_early_is_no_failure(gripper: YumiGripper) -> None:
     assert script.run(take()).outcome is Outcome.LIFTED
     early = script.tool(CLOSE)[2, 3] - 0.02
     assert early == pytest.approx(0.004, abs=0.001)
-
-
-@pytest.mark.parametrize("phase", [Phase.LIFT, Phase.CHECK, Phase.CARRY])
-def test_what_slips_is_noticed(gripper: YumiGripper, phase: Phase) -> None:
-    script = Script(gripper)
-    script.width = lambda at, t: 0.0 if at is phase and t > 0.2 else WIDTH
-    status = failure(script, take())
-    assert status.outcome is Outcome.SLIPPED
-    assert status.reason == "it slipped out of the jaw"
 
 
 def test_what_slips_over_the_tote_has_arrived(gripper: YumiGripper) -> None:
@@ -342,36 +383,7 @@ def test_what_has_been_set_down_stays_so(whole: Script) -> None:
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
 
 
-def test_a_lost_seal_is_noticed(gripper: YumiGripper) -> None:
-    script = Script(gripper)
-    script.width = lambda at, t: 0.0
-    script.vacuum = lambda at, t: float(
-        at is CLOSE or (at is Phase.LIFT and t < 0.3)
-    )
-    script.why = "it slides off"
-    status = failure(script, take(GraspKind.SUCTION))
-    assert (status.outcome, status.reason) == (Outcome.SLIPPED, "it slides off")
-
-
-@pytest.mark.parametrize(
-    ("phase", "push"), [(Phase.LIFT, -400.0), (Phase.LOWER, 400.0)]
-)
-def test_a_wrist_that_is_stuck(
-    gripper: YumiGripper, phase: Phase, push: float
-) -> None:
-    script = Script(gripper)
-    script.push = lambda at, t, z: np.array([0, 0, push * (at is phase)])
-    status = failure(script, take())
-    assert status.outcome is Outcome.SLIPPED
-    assert status.reason == "the wrist is stuck"
-
-
 def test_it_gives_up_within_a_time(gripper: YumiGripper) -> None:
-    script = Script(gripper)
-    # The fingers never come to rest.
-    script.width = lambda at, t: 0.02 + 0.005 * (round(t / 0.05) % 2)
-    status = failure(script, take())
-    assert status.reason == "the jaw does not come to rest"
     script = Script(gripper, replace(CONFIG, give_up=1.5))
     assert failure(script, take()).reason == "gave up after 1.5 s"
 

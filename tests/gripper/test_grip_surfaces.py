@@ -1,23 +1,14 @@
 import numpy as np
 import pytest
-from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from xray_drake.gripper.grip_surfaces import GRIP, PAD, add_grip_surfaces
-from xray_drake.gripper.yumi import add_gripper
+from tests.gripper.cells import DrivenCell, downwards
+from xray_drake.gripper.grip_surfaces import GRIP, PAD
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
-from xray_drake.scene.plant import (
-    add_bin,
-    add_objects,
-    add_plant,
-    default_plant_config,
-)
 from xray_drake.scene.shapes import box
 
 
-def block(name: str) -> ObjectModel:
+def step(name: str) -> ObjectModel:
     pieces = [
         *box(0.04, 0.03, 0.02).surfaces,
         *box(0.02, 0.03, 0.02, (0.0, 0.0, 0.02)).surfaces,
@@ -25,23 +16,7 @@ def block(name: str) -> ObjectModel:
     return object_from_pieces(name, pieces, density=500.0)
 
 
-class Scene:
-    def __init__(self) -> None:
-        builder = DiagramBuilder()
-        self.plant: MultibodyPlant
-        self.scene_graph: SceneGraph
-        self.plant, self.scene_graph = add_plant(
-            builder, default_plant_config()
-        )
-        add_bin(self.plant)
-        self.gripper = add_gripper(self.plant)
-        self.items = add_objects(self.plant, [block("a"), block("b")])
-        add_grip_surfaces(
-            self.plant, self.scene_graph, self.gripper, self.items
-        )
-        self.plant.Finalize()
-        self.diagram: Diagram = builder.Build()
-
+class Scene(DrivenCell):
     def touching(
         self, jaw: tuple[float, float, float], a: float, b: float
     ) -> set[frozenset[str]]:
@@ -52,19 +27,12 @@ class Scene:
             a: x of the first object, m.
             b: x of the second, m.
         """
-        root = self.diagram.CreateDefaultContext()
-        context = self.plant.GetMyMutableContextFromRoot(root)
-        X_WJ = np.diag([1.0, -1.0, -1.0, 1.0])
-        X_WJ[:3, 3] = jaw
-        gripper = self.gripper
-        q = gripper.carrier.joints(
-            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.carrier.home
-        )
-        self.plant.SetPositions(context, gripper.carrier_instance, q)
+        self.at(downwards(*jaw))
+        context = self.plant.GetMyMutableContextFromRoot(self.context)
         self.plant.SetPositions(
-            context, gripper.finger_instance, np.full(2, 0.011)
+            context, self.gripper.finger_instance, np.full(2, 0.011)
         )
-        for item, x in zip(self.items, (a, b), strict=True):
+        for item, x in zip(self.items.values(), (a, b), strict=True):
             item.joint.SetPose(context, RigidTransform([x, 0.0, 0.0145]))
         query = self.plant.get_geometry_query_input_port().Eval(context)
         inspector = self.scene_graph.model_inspector()
@@ -81,7 +49,7 @@ class Scene:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene()
+    return Scene(step("a"), step("b"))
 
 
 def test_pads_meet_the_hard_surfaces_and_nothing_else_does(
@@ -108,7 +76,7 @@ def test_pads_still_meet_the_floor(scene: Scene) -> None:
 
 def test_each_piece_has_a_hard_copy(scene: Scene) -> None:
     inspector = scene.scene_graph.model_inspector()
-    for item in scene.items:
+    for item in scene.items.values():
         names = [
             inspector.GetName(geometry).split("::")[-1]
             for geometry in scene.plant.GetCollisionGeometriesForBody(item.body)

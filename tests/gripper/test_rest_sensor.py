@@ -1,42 +1,36 @@
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
 
+from tests.gripper.cells import Alone
 from xray_drake.gripper.rest_sensor import RestSensor
 from xray_drake.scene.targets import target_model
 
 NAME = "box_2to1"
 
 
-class Watched:
+class Watched(Alone):
     """A sensor of one object whose pose is set from outside."""
 
     def __init__(self) -> None:
-        self.sensor = RestSensor(
-            objects=[target_model(NAME)], bodies={NAME: 1}, round_time=0.3
+        objects = [target_model(NAME)]
+        super().__init__(
+            RestSensor(objects=objects, bodies={NAME: 1}, round_time=0.3)
         )
-        self.simulator = Simulator(self.sensor)
-        self.context = self.simulator.get_mutable_context()
         self.put(0.0, 0.0, 0.01)
 
     def put(self, *p_WO: float) -> None:
-        poses = [RigidTransform(), RigidTransform(list(p_WO))]
-        self.sensor.GetInputPort("body_poses").FixValue(
-            self.context, AbstractValue.Make(poses)
-        )
+        self.fix("body_poses", [RigidTransform(), RigidTransform(list(p_WO))])
 
     def after(self, duration: float) -> bool:
-        self.simulator.AdvanceTo(self.context.get_time() + duration)
-        self.simulator.AdvancePendingEvents()
-        return bool(self.sensor.GetOutputPort("at_rest").Eval(self.context)[0])
+        return bool(self.advance_to(self.context.get_time() + duration)[0])
 
 
 def test_it_takes_a_whole_round_to_be_sure() -> None:
     watched = Watched()
     assert not watched.after(0.25)
     assert watched.after(0.1)
+    assert not watched.system.HasAnyDirectFeedthrough()
 
 
 @pytest.mark.parametrize(("step", "rests"), [(0.002, False), (0.0005, True)])
@@ -54,7 +48,3 @@ def test_what_fell_out_of_the_cell_does_not_count() -> None:
         watched.put(0.5, 0.5, z)
         still = watched.after(0.2)
     assert still
-
-
-def test_its_output_reads_state_alone() -> None:
-    assert not Watched().sensor.HasAnyDirectFeedthrough()

@@ -5,38 +5,25 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.gripper.cells import STEP, Alone, DrivenCell, block
 from tests.ports import inputs_of, outputs_of
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
-from xray_drake.gripper.yumi import add_gripper
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
-from xray_drake.scene.plant import (
-    add_bin,
-    add_object,
-    add_plant,
-    default_plant_config,
-)
-from xray_drake.scene.shapes import box
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 GRIPPER, PLATE, OTHER = 1, 2, 3
-STEP = 0.005
 
 
 def plate(
     mass: float = 0.1, size: tuple[float, float, float] = (0.08, 0.06, 0.02)
 ) -> ObjectModel:
-    return object_from_pieces(
-        "plate", list(box(*size).surfaces), density=mass / np.prod(size)
-    )
+    return block(size, mass, "plate")
 
 
 def lying_cylinder(radius: float) -> ObjectModel:
@@ -57,7 +44,7 @@ def pose(
     return X
 
 
-class Alone:
+class Cup(Alone):
     """The cup with fixed inputs; its lip is the gripper's own frame."""
 
     def __init__(
@@ -69,59 +56,37 @@ class Alone:
         X_other: np.ndarray | None = None,
         X_BC: np.ndarray | None = None,
     ) -> None:
-        other = object_from_pieces(
-            "other", list(box(0.02, 0.02, 0.02).surfaces), density=500.0
-        )
         self.X_BC = np.eye(4) if X_BC is None else X_BC
-        self.system = SuctionCup(
-            objects=[model or plate(), other],
-            bodies={"plate": PLATE, "other": OTHER},
-            gripper=GRIPPER,
-            X_BC=self.X_BC,
-        )
-        self.simulator = Simulator(self.system)
-        self.context = self.simulator.get_mutable_context()
         self.X_WO = np.eye(4) if X_WO is None else X_WO
         self.X_other = pose(9.0) if X_other is None else X_other
         self.velocity = np.zeros((2, 6))
+        other = block((0.02, 0.02, 0.02), 0.004, "other")
+        super().__init__(
+            SuctionCup(
+                objects=[model or plate(), other],
+                bodies={"plate": PLATE, "other": OTHER},
+                gripper=GRIPPER,
+                X_BC=self.X_BC,
+            ),
+            suction=np.ones(1),
+        )
         self.put(X_WC)
-        self.suck(True)
-
-    def suck(self, on: bool) -> None:
-        self.system.GetInputPort("suction").FixValue(self.context, [float(on)])
 
     def put(self, X_WC: np.ndarray) -> None:
         self.X_WC = X_WC
-        poses = [
-            np.eye(4),
-            X_WC @ np.linalg.inv(self.X_BC),
-            self.X_WO,
-            self.X_other,
-        ]
+        X_WB = X_WC @ np.linalg.inv(self.X_BC)
+        poses = [np.eye(4), X_WB, self.X_WO, self.X_other]
         still = SpatialVelocity.Zero()
         moving = [SpatialVelocity(w=v[:3], v=v[3:]) for v in self.velocity]
-        for port, value in (
-            ("body_poses", [RigidTransform(X) for X in poses]),
-            ("body_spatial_velocities", [still, *moving, still]),
-        ):
-            self.system.GetInputPort(port).FixValue(
-                self.context, AbstractValue.Make(value)
-            )
+        self.fix("body_poses", [RigidTransform(X) for X in poses])
+        self.fix("body_spatial_velocities", [still, *moving, still])
 
     def advance(self, steps: int = 1) -> CupState:
-        time = self.context.get_time() + STEP * steps
-        self.simulator.AdvanceTo(time)
-        self.simulator.AdvancePendingEvents()
-        return self.state
-
-    @property
-    def state(self) -> CupState:
-        return self.system.GetOutputPort("state").Eval(self.context)
+        return self.advance_to(self.context.get_time() + STEP * steps)
 
     @property
     def forces(self) -> list[ExternallyAppliedSpatialForce]:
-        port = self.system.GetOutputPort("applied_spatial_force")
-        return port.Eval(self.context)
+        return self.get("applied_spatial_force")
 
 
 def over_plate(height: float, x: float = 0.0, tilt: float = 0.0) -> np.ndarray:
@@ -131,7 +96,7 @@ def over_plate(height: float, x: float = 0.0, tilt: float = 0.0) -> np.ndarray:
 
 
 def test_ports_are_named() -> None:
-    system = Alone(over_plate(0.1)).system
+    system = Cup(over_plate(0.1)).system
     assert inputs_of(system) == [
         "suction",
         "body_poses",
@@ -142,17 +107,17 @@ def test_ports_are_named() -> None:
 
 
 def test_it_seals_on_command_and_lets_go() -> None:
-    cup = Alone(over_plate(0.0))
-    cup.suck(False)
+    cup = Cup(over_plate(0.0))
+    cup.fix("suction", np.zeros(1))
     assert cup.advance(8).object == ""
     assert cup.forces == []
-    cup.suck(True)
+    cup.fix("suction", np.ones(1))
     state = cup.advance(5)
     assert state.object == "plate"
     assert state.drawing
     np.testing.assert_allclose(state.X_OC, over_plate(0.0), atol=1e-12)
     assert cup.advance(40).vacuum > 0.95
-    cup.suck(False)
+    cup.fix("suction", np.zeros(1))
     state = cup.advance(2)
     assert (state.object, state.vacuum, state.drawing) == ("", 0.0, False)
     assert cup.forces == []
@@ -168,7 +133,7 @@ def test_it_seals_on_command_and_lets_go() -> None:
     ],
 )
 def test_its_reach(height: float, seals: bool) -> None:
-    state = Alone(over_plate(height)).advance(5)
+    state = Cup(over_plate(height)).advance(5)
     assert bool(state.object) == seals
 
 
@@ -176,8 +141,8 @@ def test_its_reach(height: float, seals: bool) -> None:
 def test_a_tilted_cup_seals_once_all_of_its_lip_touches(tilt: float) -> None:
     """The far side of the lip is r sin(tilt) away, and so deep is the near."""
     far = 0.015 * np.sin(tilt)
-    assert not Alone(over_plate(0.002, tilt=tilt)).advance(5).object
-    state = Alone(over_plate(-far, tilt=tilt)).advance(5)
+    assert not Cup(over_plate(0.002, tilt=tilt)).advance(5).object
+    state = Cup(over_plate(-far, tilt=tilt)).advance(5)
     assert bool(state.object) == (2 * far / np.cos(tilt) < 0.008)
 
 
@@ -186,7 +151,7 @@ def test_a_tilted_cup_seals_once_all_of_its_lip_touches(tilt: float) -> None:
 )
 def test_it_does_not_seal_over_an_edge(x: float, seals: bool) -> None:
     """The plate ends at 40 mm, the lip reaches 15 mm."""
-    state = Alone(over_plate(-0.001, x=x)).advance(5)
+    state = Cup(over_plate(-0.001, x=x)).advance(5)
     assert bool(state.object) == seals
 
 
@@ -196,9 +161,7 @@ def test_it_does_not_seal_where_the_surface_curves(
 ) -> None:
     model = lying_cylinder(radius)
     sealed = [
-        bool(
-            Alone(pose(z=radius - press, R=DOWN), model=model).advance(5).object
-        )
+        bool(Cup(pose(z=radius - press, R=DOWN), model=model).advance(5).object)
         for press in np.linspace(-0.001, 0.009, 11)
     ]
     assert any(sealed) == seals
@@ -206,13 +169,13 @@ def test_it_does_not_seal_where_the_surface_curves(
 
 def test_it_does_not_seal_over_something_else() -> None:
     beside = pose(0.027, 0.0, 0.011)
-    assert Alone(over_plate(0.0), X_other=beside).advance(5).object == "plate"
+    assert Cup(over_plate(0.0), X_other=beside).advance(5).object == "plate"
     under = pose(0.020, 0.0, 0.011)
-    assert not Alone(over_plate(0.0), X_other=under).advance(5).object
+    assert not Cup(over_plate(0.0), X_other=under).advance(5).object
 
 
 def test_nothing_to_seal_on() -> None:
-    state = Alone(over_plate(0.3)).advance(5)
+    state = Cup(over_plate(0.3)).advance(5)
     assert (state.object, state.flow) == ("", 1.0)
 
 
@@ -234,7 +197,7 @@ def test_what_it_gives_to_the_object_it_takes_from_the_gripper(
     X_BC = pose(0.15, 0.0, 0.02, Rotation.from_euler("y", 1.3).as_matrix())
     turn = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
     X_WO = pose(0.3, -0.2, 0.4, turn)
-    cup = Alone(X_WO @ over_plate(0.0), X_WO=X_WO, X_BC=X_BC)
+    cup = Cup(X_WO @ over_plate(0.0), X_WO=X_WO, X_BC=X_BC)
     cup.advance(20)
     cup.velocity = 0.02 * rng.normal(size=(2, 6))
     moved = pose(*(0.001 * rng.normal(size=3)))
@@ -250,84 +213,19 @@ def test_what_it_gives_to_the_object_it_takes_from_the_gripper(
     np.testing.assert_allclose(a + b, 0, atol=1e-9)
 
 
-class Cell:
-    """The cup on its gripper over a plate that lies in the bin."""
+class Cell(DrivenCell):
+    """The cup on its gripper, sealed on a plate that lies in the bin."""
 
     def __init__(
         self, model: ObjectModel, *, sampled_ports: bool = True
     ) -> None:
-        builder = DiagramBuilder()
-        config = default_plant_config()
-        config.use_sampled_output_ports = sampled_ports
-        plant, _ = add_plant(builder, config)
-        add_bin(plant)
-        self.gripper = add_gripper(plant)
-        self.item = add_object(plant, model)
-        top = model.extents[2]
-        self.item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, top / 2]))
-        plant.Finalize()
-        cup = builder.AddSystem(
-            SuctionCup(
-                objects=[model],
-                bodies={"plate": int(self.item.body.index())},
-                gripper=int(self.gripper.base.index()),
-                X_BC=self.gripper.X_BC,
-            )
-        )
-        for source, target in (
-            (plant.get_body_poses_output_port(), "body_poses"),
-            (
-                plant.get_body_spatial_velocities_output_port(),
-                "body_spatial_velocities",
-            ),
-        ):
-            builder.Connect(source, cup.GetInputPort(target))
-        builder.Connect(
-            cup.GetOutputPort("applied_spatial_force"),
-            plant.get_applied_spatial_force_input_port(),
-        )
-        builder.ExportInput(cup.GetInputPort("suction"), "suction")
-        for name, instance in (
-            ("wrist", self.gripper.carrier_instance),
-            ("fingers", self.gripper.finger_instance),
-        ):
-            builder.ExportInput(
-                plant.get_desired_state_input_port(instance), name
-            )
-        self.plant, self.cup, self.diagram = plant, cup, builder.Build()
-        self.simulator = Simulator(self.diagram)
-        self.context = self.simulator.get_mutable_context()
-        X_WC = pose(0.05, 0.02, top, DOWN)
-        self.q = self.gripper.carrier.joints(
-            X_WC @ np.linalg.inv(self.gripper.X_BC),
-            near=self.gripper.carrier.home,
-        )
-        plant.SetPositions(
-            plant.GetMyMutableContextFromRoot(self.context),
-            self.gripper.carrier_instance,
-            self.q,
-        )
-        shut = self.gripper.finger_travel
+        super().__init__(model, cup=True, sampled_ports=sampled_ports)
+        self.item = self.items["plate"]
+        gripper, shut = self.gripper, self.gripper.finger_travel
+        self.at(pose(0.05, 0.02, model.extents[2], DOWN), gripper.X_BC)
         self.fix("fingers", np.array([shut, shut, 0, 0]))
-        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
         self.fix("suction", np.ones(1))
-        self.simulator.AdvanceTo(0.25)
-
-    def fix(self, port: str, value: np.ndarray) -> None:
-        self.diagram.GetInputPort(port).FixValue(self.context, value)
-
-    def move(self, way: np.ndarray, duration: float) -> None:
-        """Moves the wrist's joints, smoothly, and waits a moment."""
-        start, begin = self.q, self.context.get_time()
-        while (elapsed := self.context.get_time() - begin) < duration:
-            s = elapsed / duration
-            self.q = start + way * (10 * s**3 - 15 * s**4 + 6 * s**5)
-            v = way * 30 * s**2 * (1 - s) ** 2 / duration
-            self.fix("wrist", np.concatenate([self.q, v]))
-            self.simulator.AdvanceTo(self.context.get_time() + STEP)
-        self.q = start + way
-        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
-        self.simulator.AdvanceTo(self.context.get_time() + 0.15)
+        self.advance(0.25)
 
     @property
     def state(self) -> CupState:
@@ -342,24 +240,18 @@ class Cell:
             motion says, which nothing else touches.
         """
         before = self.velocity
-        self.simulator.AdvanceTo(self.context.get_time() + STEP)
+        self.advance(STEP)
         gained = (self.velocity - before) / STEP
         return self.state.wrench[5], self.item.model.mass * (gained + 9.81)
 
     @property
     def velocity(self) -> float:
         """The object's centre of mass, upwards, m/s."""
-        context = self.plant.GetMyContextFromRoot(self.context)
+        context = self.plant_context
         V = self.plant.EvalBodySpatialVelocityInWorld(context, self.item.body)
         X = self.plant.EvalBodyPoseInWorld(context, self.item.body)
         p_OCom_W = X.rotation() @ self.item.model.p_OCom
         return float(V.Shift(p_OCom_W).translational()[2])
-
-    @property
-    def height(self) -> float:
-        context = self.plant.GetMyContextFromRoot(self.context)
-        pose = self.plant.EvalBodyPoseInWorld(context, self.item.body)
-        return float(pose.translation()[2])
 
 
 UP = np.array([0, 0, 0.1, 0, 0, 0])
@@ -369,11 +261,11 @@ UP = np.array([0, 0, 0.1, 0, 0, 0])
 def test_it_lifts_what_the_vacuum_can_hold(mass: float) -> None:
     cell = Cell(plate(mass))
     assert cell.state.object == "plate"
-    start = cell.height
+    start = cell.height("plate")
     cell.move(UP, 0.8)
     assert cell.state.object == "plate"
     sag = 9.81 * mass / 1750.0
-    assert cell.height - start == pytest.approx(0.1 - sag, abs=5e-4)
+    assert cell.height("plate") - start == pytest.approx(0.1 - sag, abs=5e-4)
     assert cell.state.wrench[5] == pytest.approx(9.81 * mass, rel=0.02)
     assert cell.state.load == pytest.approx(9.81 * mass / 14.0, rel=0.05)
 
@@ -385,10 +277,7 @@ def test_the_force_that_acts_is_the_one_that_it_says(
     """Whether the plant steps before the cup's event is done, or after."""
     cell = Cell(plate(0.05), sampled_ports=sampled_ports)
     cell.move(0.5 * UP, 0.3)
-    cell.fix(
-        "wrist",
-        np.array([*cell.q[:2], cell.q[2] + 0.003, *cell.q[3:], *np.zeros(6)]),
-    )
+    cell.want(cell.q + 0.03 * UP)
     said, acted = np.transpose([cell.weigh() for _ in range(8)])
     assert np.ptp(said) > 0.3
     np.testing.assert_allclose(acted, said, atol=1e-4)
@@ -397,11 +286,11 @@ def test_the_force_that_acts_is_the_one_that_it_says(
 def test_it_drops_what_is_too_heavy() -> None:
     cell = Cell(plate(1.6))  # 15.7 N
     assert cell.state.object == "plate"
-    start = cell.height
+    start = cell.height("plate")
     cell.move(UP, 0.8)
     assert cell.state.object == ""
     assert cell.state.lost == "it is pulled off"
-    assert cell.height == pytest.approx(start, abs=1e-3)
+    assert cell.height("plate") == pytest.approx(start, abs=1e-3)
 
 
 @pytest.mark.parametrize(("mass", "holds"), [(0.5, True), (0.9, False)])

@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from xray_drake.gripper.carriers.carrier import ReachError
+from xray_drake.gripper.carriers.paths import Leg, stay
 from xray_drake.gripper.carriers.wrist import Wrist
 from xray_drake.gripper.models import JointLimits
 
@@ -57,3 +60,76 @@ def test_out_of_reach_says_which_way() -> None:
     X_WT[:3, 3] = 2.0, 0.0, -0.1
     with pytest.raises(ReachError, match=r"reach: x, z$"):
         WRIST.joints(X_WT, near=np.zeros(6))
+
+
+FAST = replace(
+    WRIST,
+    limits=replace(
+        WRIST.limits,
+        velocity=np.array([1.5, 1.5, 1.0, 3.0, 2.0, 3.0]),
+        acceleration=np.array([4.0, 4.0, 4.0, 20.0, 10.0, 20.0]),
+    ),
+)
+
+points = st.lists(st.floats(-2, 2), min_size=6, max_size=6).map(np.array)
+legs = st.lists(
+    st.tuples(points, st.sampled_from([0.05, 0.5, np.inf])),
+    min_size=1,
+    max_size=3,
+).map(lambda found: [Leg(end, speed) for end, speed in found])
+
+
+@settings(deadline=None, max_examples=50)
+@given(points, legs, st.floats(0, 100))
+def test_it_goes_along_its_legs_within_the_limits(
+    start: np.ndarray, legs: list[Leg], begin: float
+) -> None:
+    path = FAST.path(start, legs, begin)
+    np.testing.assert_allclose(path.sample(begin)[0], start, atol=1e-9)
+    np.testing.assert_allclose(path.end, legs[-1].end, atol=1e-9)
+    for time in (begin, path.end_time):
+        np.testing.assert_allclose(path.sample(time)[1], 0, atol=1e-6)
+    bends = path.trajectory.MakeDerivative(2)
+    for time in np.linspace(begin, path.end_time, 60):
+        _, v = path.sample(time)
+        assert np.all(np.abs(v) <= FAST.limits.velocity * (1 + 1e-6))
+        assert np.linalg.norm(v[:3]) <= max(leg.speed for leg in legs) + 1e-6
+        a = bends.value(time)[:, 0]
+        assert np.all(np.abs(a) <= FAST.limits.acceleration * (1 + 1e-6))
+    before = start
+    for index, leg in enumerate(legs):
+        curve = path.trajectory.segment(index)
+        times = np.linspace(curve.start_time(), curve.end_time(), 9)
+        way = leg.end - before
+        done = np.array([curve.value(time)[:, 0] - before for time in times])
+        share = done @ way / max(way @ way, 1e-12)
+        np.testing.assert_allclose(done, np.outer(share, way), atol=1e-6)
+        assert np.all(np.diff(share) >= -1e-9)
+        before = leg.end
+
+
+def test_the_limits_are_used() -> None:
+    far = np.array([1.0, 0, 0, 0, 0, 0])
+    path = FAST.path(np.zeros(6), [Leg(far, 0.5)], 0.0)
+    assert path.end_time == pytest.approx(1.875 / 0.5)
+    near = 0.01 * far
+    path = FAST.path(np.zeros(6), [Leg(near)], 0.0)
+    fastest = np.abs(
+        [
+            path.trajectory.MakeDerivative(2).value(t)[0, 0]
+            for t in np.linspace(0, path.end_time, 500)
+        ]
+    ).max()
+    assert fastest == pytest.approx(4.0, rel=0.01)
+
+
+def test_it_stays_before_and_after() -> None:
+    start, end = np.zeros(6), np.full(6, 0.1)
+    path = FAST.path(start, [Leg(end)], 1.0)
+    for time, there in ((0.0, start), (99.0, end)):
+        q, v = path.sample(time)
+        np.testing.assert_allclose(q, there, atol=1e-12)
+        np.testing.assert_allclose(v, 0, atol=1e-9)
+    path = stay(end, 1.0, 0.5)
+    assert path.end_time == pytest.approx(1.5)
+    np.testing.assert_allclose(path.sample(1.2)[0], end)

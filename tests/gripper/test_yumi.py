@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
-from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import (
     ExternallyAppliedSpatialForce,
     MultibodyPlant,
 )
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.multibody.tree import RigidBody
 
+from tests.gripper.cells import STEP, DrivenCell, block, downwards
 from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
     load_gripper_geometry,
@@ -21,93 +19,16 @@ from xray_drake.grasping.gripper_geometry import (
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.carriers.paths import Leg
-from xray_drake.gripper.grip_surfaces import PAD, add_grip_surfaces
+from xray_drake.gripper.grip_surfaces import PAD
 from xray_drake.gripper.transfer import HOME
-from xray_drake.gripper.yumi import FINGER_JOINTS, add_gripper
+from xray_drake.gripper.yumi import FINGER_JOINTS
 from xray_drake.resources import models_dir
-from xray_drake.scene.cameras import add_camera, nominal_camera
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
-from xray_drake.scene.plant import (
-    add_bin,
-    add_object,
-    add_plant,
-    default_plant_config,
-)
-from xray_drake.scene.shapes import box
+from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 
-STEP = 0.005
 
-
-class Cell:
-    """The gripper over the bin, its desired state given by hand."""
-
-    def __init__(
-        self,
-        *models: ObjectModel,
-        camera: bool = False,
-        time_step: float = STEP,
-    ) -> None:
-        builder = DiagramBuilder()
-        config = default_plant_config()
-        config.time_step = time_step
-        self.plant: MultibodyPlant
-        self.scene_graph: SceneGraph
-        self.plant, self.scene_graph = add_plant(builder, config)
-        add_bin(self.plant)
-        self.gripper = add_gripper(self.plant)
-        self.items = {}
-        for model in models:
-            item = add_object(self.plant, model)
-            height = model.extents[2] / 2
-            item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
-            self.items[model.name] = item
-        add_grip_surfaces(
-            self.plant, self.scene_graph, self.gripper, self.items.values()
-        )
-        self.plant.Finalize()
-        if camera:
-            sensor, _ = add_camera(builder, self.scene_graph, nominal_camera())
-            builder.ExportOutput(sensor.label_image_output_port(), "label")
-        plant = self.plant
-        for name, instance in (
-            ("wrist", self.gripper.carrier_instance),
-            ("fingers", self.gripper.finger_instance),
-        ):
-            builder.ExportInput(
-                plant.get_desired_state_input_port(instance), name
-            )
-            builder.ExportOutput(
-                plant.get_net_actuation_output_port(instance), f"{name}_effort"
-            )
-        builder.ExportInput(
-            plant.get_applied_spatial_force_input_port(), "force"
-        )
-        self.diagram: Diagram = builder.Build()
-        self.simulator = Simulator(self.diagram)
-        self.context: Context = self.simulator.get_mutable_context()
-        self.q = self.gripper.carrier.home
-        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
-        self.fix("fingers", np.zeros(4))
-
-    def fix(self, port: str, value: np.ndarray) -> None:
-        self.diagram.GetInputPort(port).FixValue(self.context, value)
-
-    def at(self, X_WJ: np.ndarray) -> None:
-        """Puts the jaw at a pose, at once."""
-        gripper = self.gripper
-        self.q = gripper.carrier.joints(
-            X_WJ @ np.linalg.inv(gripper.X_BJ), near=gripper.carrier.home
-        )
-        self.plant.SetPositions(
-            self.plant.GetMyMutableContextFromRoot(self.context),
-            gripper.carrier_instance,
-            self.q,
-        )
-        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
-
-    def advance(self, time: float) -> None:
-        self.simulator.AdvanceTo(self.context.get_time() + time)
+class Cell(DrivenCell):
+    """The gripper with what its fingers do."""
 
     def close(self, force: float) -> None:
         """Closes within a second, with a force that never gets larger."""
@@ -121,42 +42,19 @@ class Cell:
             self.fix("fingers", np.array([finger, finger, 0, 0]))
             self.advance(STEP)
 
-    def lift(self, way: float = 0.08, duration: float = 0.5) -> None:
-        start, begin = self.q[2], self.context.get_time()
-        while (elapsed := self.context.get_time() - begin) < duration:
-            s = elapsed / duration
-            v = np.zeros(6)
-            v[2] = way * 30 * s**2 * (1 - s) ** 2 / duration
-            self.q = np.array(self.q)
-            self.q[2] = start + way * (10 * s**3 - 15 * s**4 + 6 * s**5)
-            self.fix("wrist", np.concatenate([self.q, v]))
-            self.advance(STEP)
-        self.fix("wrist", np.concatenate([self.q, np.zeros(6)]))
-        self.advance(0.2)
-
-    @property
-    def plant_context(self) -> Context:
-        return self.plant.GetMyContextFromRoot(self.context)
+    def lift(self) -> None:
+        self.move(np.array([0, 0, 0.08, 0, 0, 0]), 0.5)
 
     @property
     def fingers(self) -> np.ndarray:
-        return self.plant.GetPositions(
-            self.plant_context, self.gripper.finger_instance
-        )
+        return self.positions(self.gripper.finger_instance)
 
     @property
     def wrist(self) -> np.ndarray:
-        return self.plant.GetPositions(
-            self.plant_context, self.gripper.carrier_instance
-        )
+        return self.positions(self.gripper.carrier_instance)
 
     def effort(self, part: str) -> np.ndarray:
         return self.diagram.GetOutputPort(f"{part}_effort").Eval(self.context)
-
-    def height(self, name: str) -> float:
-        body = self.items[name].body
-        pose = self.plant.EvalBodyPoseInWorld(self.plant_context, body)
-        return float(pose.translation()[2])
 
 
 @pytest.fixture(scope="module")
@@ -165,16 +63,11 @@ def alone() -> Cell:
 
 
 def jaw_at(z: float) -> np.ndarray:
-    X_WJ = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WJ[:3, 3] = 0.05, 0.02, z
-    return X_WJ
+    return downwards(0.05, 0.02, z)
 
 
 def brick(mass: float) -> ObjectModel:
-    size = (0.03, 0.03, 0.03)
-    return object_from_pieces(
-        "brick", list(box(*size).surfaces), density=mass / np.prod(size)
-    )
+    return block((0.03, 0.03, 0.03), mass)
 
 
 def test_it_is_the_gripper_that_planning_knows() -> None:
@@ -208,14 +101,12 @@ def test_it_is_the_gripper_that_planning_knows() -> None:
             assert actuator.effort_limit() == parameters.force
 
 
-def pushed(cell: Cell, force: float) -> None:
-    """Pushes the gripper upwards (N) from now on."""
+def pushed(cell: Cell, body: RigidBody, *force: float) -> None:
+    """Pushes a body (N) from now on."""
     push = ExternallyAppliedSpatialForce()
-    push.body_index = cell.gripper.base.index()
-    push.F_Bq_W = SpatialForce(tau=np.zeros(3), f=np.array([0, 0, force]))
-    cell.diagram.GetInputPort("force").FixValue(
-        cell.context, AbstractValue.Make([push])
-    )
+    push.body_index = body.index()
+    push.F_Bq_W = SpatialForce(tau=np.zeros(3), f=force)
+    cell.fix("force", AbstractValue.Make([push]))
 
 
 @pytest.mark.parametrize("time_step", [0.001, 0.005, 0.01])
@@ -227,7 +118,7 @@ def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
     end = start + np.array([0.02, -0.15, -0.15, 0, 0, 0])
     tick = 0
     for force in (0.0, 3.0):
-        pushed(cell, force)
+        pushed(cell, cell.gripper.base, 0.0, 0.0, force)
         tick += round(0.2 / time_step)
         cell.simulator.AdvanceTo(tick * time_step)
         path = wrist.path(
@@ -239,7 +130,7 @@ def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
         felt = []
         while (time := tick * time_step) < path.end_time:
             desired, rate = path.sample(time)
-            cell.fix("wrist", np.concatenate([desired, rate]))
+            cell.want(desired, rate)
             tick += 1
             cell.simulator.AdvanceTo(tick * time_step)
             state = cell.plant.get_state_output_port(
@@ -374,11 +265,7 @@ def test_its_fingers_are_one() -> None:
     cell.fix("fingers", np.array([0.01, 0.01, 0, 0]))
     cell.advance(0.3)
     np.testing.assert_allclose(cell.fingers, 0.01, atol=1e-5)
-    push = ExternallyAppliedSpatialForce()
-    body = cell.plant.GetBodyByName("left_finger")
-    push.body_index = body.index()
-    push.F_Bq_W = SpatialForce(tau=np.zeros(3), f=[0, 8.0, 0])
-    cell.diagram.GetInputPort("force").FixValue(cell.context, [push])
+    pushed(cell, cell.plant.GetBodyByName("left_finger"), 0.0, 8.0, 0.0)
     cell.advance(0.3)
     np.testing.assert_allclose(
         np.abs(cell.fingers - 0.01), 8.0 / (2 * 2000.0), rtol=0.05
@@ -390,11 +277,12 @@ def test_its_forces_are_limited() -> None:
     cell = Cell(brick(0.2))
     cell.at(jaw_at(0.02))
     cell.fix("fingers", np.array([0.5, 0.5, 0, 0]))
-    cell.fix("wrist", np.concatenate([cell.q + [0, 0, -0.5, 0, 0, 0], [0] * 6]))
+    start = cell.q
+    cell.want(start + [0, 0, -0.5, 0, 0, 0])
     cell.advance(0.3)
     assert np.abs(cell.effort("fingers")).max() <= 20.0 + 1e-6
     assert cell.effort("wrist")[2] == pytest.approx(-60.0)
-    assert cell.wrist[2] > cell.q[2] - 0.025  # the floor is in the way
+    assert cell.wrist[2] > start[2] - 0.025  # the floor is in the way
 
 
 @pytest.mark.parametrize(

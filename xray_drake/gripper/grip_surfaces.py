@@ -15,7 +15,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.scene.plant import PlantObject
@@ -68,39 +68,28 @@ def add_grip_surfaces(
     hard: list[GeometryId] = []
     soft: list[GeometryId] = []
     others: list[GeometryId] = []
-    carrier: list[GeometryId] = []
+    models: dict[ModelInstanceIndex, list[GeometryId]] = {
+        gripper.carrier_instance: [],
+        gripper.finger_instance: [],
+    }
     for index in map(BodyIndex, range(plant.num_bodies())):
         body = plant.get_body(index)
-        hand = body.model_instance() == gripper.finger_instance
+        model = models.get(body.model_instance(), [])
         for geometry in plant.GetCollisionGeometriesForBody(body):
             name = inspector.GetName(geometry).split("::")[-1]
-            if body.model_instance() == gripper.carrier_instance:
-                carrier.append(geometry)
-            if hand and name == PAD:
-                pads.append(geometry)
-            elif index not in gripped:
-                others.append(geometry)
-            elif name.startswith(f"{GRIP}_"):
-                hard.append(geometry)
+            model.append(geometry)
+            if index in gripped:
+                kind = hard if name.startswith(f"{GRIP}_") else soft
             else:
-                soft.append(geometry)
-    feeling = GeometrySet([*others, *soft])
-    declaration = CollisionFilterDeclaration()
-    declaration.ExcludeWithin(GeometrySet(hard))
-    declaration.ExcludeBetween(GeometrySet(hard), feeling)
-    declaration.ExcludeBetween(GeometrySet(pads), GeometrySet(soft))
-    # Its capsules overlap with the gripper where the last axes bend.
-    declaration.ExcludeBetween(
-        GeometrySet(carrier),
-        GeometrySet(
-            [
-                geometry
-                for body in gripper.bodies(plant)
-                for geometry in plant.GetCollisionGeometriesForBody(body)
-            ]
-        ),
-    )
-    scene_graph.collision_filter_manager().Apply(declaration)
+                kind = pads if name == PAD else others
+            kind.append(geometry)
+    filters = CollisionFilterDeclaration()
+    filters.ExcludeWithin(GeometrySet(hard))
+    filters.ExcludeBetween(GeometrySet(hard), GeometrySet([*others, *soft]))
+    filters.ExcludeBetween(GeometrySet(pads), GeometrySet(soft))
+    # The carrier's capsules overlap with the gripper where the last axes bend.
+    filters.ExcludeBetween(*map(GeometrySet, models.values()))
+    scene_graph.collision_filter_manager().Apply(filters)
 
 
 def _hard(friction: CoulombFriction) -> ProximityProperties:

@@ -8,7 +8,6 @@ from pydrake.systems.framework import DiagramBuilder, System
 
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.gripper.actuation.ideal import (
-    DrawnGripper,
     Judge,
     QuasiStaticGripper,
 )
@@ -93,11 +92,9 @@ def _quasi_static(
             judge=judge,
             objects=heap.models,
             bodies=bodies,
-            drawn=DrawnGripper(
-                X_BJ=geometry.X_BJ,
-                X_BC=geometry.X_BC,
-                opening=scenario.gripper.parameters.opening,
-            ),
+            X_BJ=geometry.X_BJ,
+            X_BC=geometry.X_BC,
+            opening=scenario.gripper.parameters.opening,
             config=scenario.gripper.quasi_static,
             seed=scenario.seed,
             time_step=scenario.plant_config.time_step,

@@ -252,15 +252,6 @@ class IdealActuation(Actuation[IdealState, Measured]):
         return RestTest(self._config.rest_motion, self._config.rest_round)
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnGripper:
-    """Frames of the gripper that is drawn: 4×4 X_BJ (jaw), X_BC (cup)."""
-
-    X_BJ: np.ndarray
-    X_BC: np.ndarray
-    opening: float
-
-
 class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
     """Lifts objects by an ideal grip, where the grasp would hold.
 
@@ -295,7 +286,9 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         judge: Judge,
         objects: Sequence[ObjectModel],
         bodies: Mapping[str, int],
-        drawn: DrawnGripper,
+        X_BJ: np.ndarray,
+        X_BC: np.ndarray,
+        opening: float,
         config: QuasiStaticConfig | None = None,
         seed: int = 0,
         period: float = 0.02,
@@ -307,7 +300,9 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
             judge: says whether a perturbed grasp holds.
             objects: all objects of the heap.
             bodies: object name to its index in the body ports.
-            drawn: frames of the drawn gripper.
+            X_BJ: 4×4 pose of the drawn gripper's jaw frame in its base, m.
+            X_BC: 4×4 pose of its cup frame, m.
+            opening: of its jaw, m.
             config: motions and perturbations.
             seed: of the perturbations.
             period: of the state machine, s.
@@ -318,13 +313,8 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         actuation = IdealActuation(judge, self._models, config, seed)
         super().__init__(actuation, actuation.initial(), period=period)
         self._bodies = dict(bodies)
-        self._opening = drawn.opening
-        X_JB, X_CB = np.linalg.inv(drawn.X_BJ), np.linalg.inv(drawn.X_BC)
-        self._X_GB = {
-            GraspKind.NONE: X_JB,
-            GraspKind.JAW: X_JB,
-            GraspKind.SUCTION: X_CB,
-        }
+        self._opening = opening
+        self._X_BJ, self._X_BC = X_BJ, X_BC
         self._grip = Grip(
             stiffness=config.stiffness,
             damping=config.damping,
@@ -393,7 +383,8 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
             closed = (self._opening - min(grasp.width, self._opening)) / 2
         else:
             X_WG, _, _ = state.segment.sample(context.get_time())
-        X_WB = RigidTransform(X_WG @ self._X_GB[grasp.kind])
+        X_BG = self._X_BC if grasp.kind is GraspKind.SUCTION else self._X_BJ
+        X_WB = RigidTransform(X_WG @ np.linalg.inv(X_BG))
         output.SetFromVector(
             [
                 *X_WB.rotation().ToQuaternion().wxyz(),
