@@ -8,11 +8,10 @@ from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex, RigidBody
 
 from xray_drake.choices import CARRIERS
 from xray_drake.gripper.carriers.arm import Arm
-from xray_drake.gripper.carriers.arm_cell import add_arm
+from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import Carrier
 from xray_drake.gripper.carriers.wrist import add_wrist, make_wrist
 from xray_drake.gripper.models import add_hand, moving_joints
-from xray_drake.gripper.transfer import HOME
 
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 
@@ -64,6 +63,13 @@ class YumiGripper:
         ]
 
 
+_CARRIERS = {
+    "wrist": (add_wrist, make_wrist),
+    "arm": (YUMI_ARM.add, lambda *_: Arm(YUMI_ARM)),
+}
+"""How to add a carrier to a plant, and to make its kinematics."""
+
+
 def add_gripper(
     plant: MultibodyPlant,
     *,
@@ -83,7 +89,8 @@ def add_gripper(
     Raises:
         ReachError: the wrist cannot be at home.
     """
-    arm, tool = (add_arm if carrier == "arm" else add_wrist)(plant)
+    add, make = _CARRIERS[carrier]
+    arm, tool = add(plant)
     hand = add_hand(plant, tool)
     base = plant.GetBodyByName("gripper_base", hand)
     for instance in (arm, hand):
@@ -97,12 +104,7 @@ def add_gripper(
         .GetAsMatrix4()
         for name in ("jaw", "cup")
     )
-    kinematics: Carrier
-    if carrier == "arm":
-        kinematics = Arm()
-    else:
-        X_WT = HOME @ np.linalg.inv(X_BJ)
-        kinematics = make_wrist(plant, arm, hand, X_WT)
+    kinematics = make(plant, arm, hand, X_BJ)
     joints = moving_joints(plant, arm)
     for joint, position in zip(joints, kinematics.home, strict=True):
         joint.set_default_positions([position])

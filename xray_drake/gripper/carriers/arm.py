@@ -8,17 +8,9 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.trajectories import CompositeTrajectory, PiecewisePose
 
-from xray_drake.gripper.carriers.arm_cell import MOUNT, ArmCell
+from xray_drake.gripper.carriers.arm_cell import YUMI_ARM, ArmCell, ArmModel
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg, Path, timed_curve
-
-READY = np.deg2rad([0.0, -60.0, 0.0, 10.0, 0.0, 60.0, 0.0])
-"""Somewhere in the middle of the arm's reach."""
-
-_HOME = np.deg2rad([103.0, -108.0, -111.0, 53.0, 63.0, 88.0, -69.0])
-_HOME_PLACE = (0.52, 0.0)
-"""At home the tool points down over the tote, out of the camera's view: near
-these joint positions, and there along x and y, m."""
 
 _SEEDS = 12
 """Joint positions that inverse kinematics begins at."""
@@ -38,15 +30,9 @@ _TURNS = np.deg2rad([0, 20, -20, 40, -40, 60, -60])
 
 _ROUNDS = (0.0, 2 * np.pi, -2 * np.pi)
 
-_TURNING_RADIUS = (0.22, 0.34)
-"""So near axis 1 is the tool while the arm turns, to pass base and posts, m."""
-
 _FEELING = 0.03
 """Of the Jacobian, singular values below this share of the largest tell
 nothing of the force."""
-
-_HEADROOM = 0.18
-"""The tool stays so far below the base, where the arm has room to fold, m."""
 
 _DIGITS = 6
 """Ways are compared after so many decimals, that rounding decides nothing."""
@@ -56,7 +42,7 @@ _NEAR_ENOUGH = 0.01
 
 
 class Arm:
-    """Seven turning joints; the tool frame T is at the flange.
+    """Turning joints, the first about the vertical; tool frame at the flange.
 
     An arm with seven joints can be at a pose in many ways. Drake's differential
     inverse kinematics (:meth:`~xray_drake.gripper.carriers.arm_cell.ArmCell.\
@@ -66,20 +52,24 @@ reach`) finds some, from several seeds; from there a straight path is followed
     """
 
     name = "arm"
-    highest = float(MOUNT[2, 3]) - _HEADROOM
 
-    def __init__(self) -> None:
+    def __init__(self, model: ArmModel = YUMI_ARM) -> None:
         """Builds the arm's model."""
-        self.cell = ArmCell()
+        self._model = model
+        self._axis = model.X_WA[:2, 3]
+        # Axis 1 points up (1) or down (−1).
+        self._sign = float(model.X_WA[2, 2])
+        self.highest = float(model.X_WA[2, 3]) - model.headroom
+        self.cell = ArmCell(model)
         self.limits = self.cell.limits
         self.pose = self.cell.pose
 
     @cached_property
     def home(self) -> np.ndarray:
-        """The (7,) joint positions in which the arm waits."""
+        """The (n,) joint positions in which the arm waits."""
         X_WT = np.diag([1.0, -1.0, -1.0, 1.0])
-        X_WT[:3, 3] = *_HOME_PLACE, self.highest
-        q = self.cell.reach(X_WT, _HOME, centred=False)
+        X_WT[:3, 3] = *self._model.home_place, self.highest
+        q = self.cell.reach(X_WT, self._model.home, centred=False)
         if q is None:
             raise ReachError("the arm cannot be at home")
         return q
@@ -130,7 +120,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
         stay level on the way, it is level at the end.
 
         Args:
-            q: (7,) joint positions.
+            q: (n,) joint positions.
             p_T: (3,) the point in the tool frame, m.
             place: (2,) in the world, m.
             lowest: height that the tool's origin is to come down to there, m.
@@ -139,7 +129,9 @@ reach`) finds some, from several seeds; from there a straight path is followed
             ReachError: beyond its reach.
         """
         X_WT = self.pose(q)
-        turn = _azimuth(place) - _azimuth(X_WT[:3, :3] @ p_T + X_WT[:3, 3])
+        turn = self._azimuth(place) - self._azimuth(
+            X_WT[:3, :3] @ p_T + X_WT[:3, 3]
+        )
         found: list[tuple[float, np.ndarray]] = []
         ways: list[tuple[float, np.ndarray]] = []
         for more, full in itertools.product(_TURNS, _ROUNDS):
@@ -219,8 +211,10 @@ reach`) finds some, from several seeds; from there a straight path is followed
         """Yields joint positions at a pose, clear of all else."""
         found: list[np.ndarray] = []
         lower, upper = 0.7 * self.limits.lower, 0.7 * self.limits.upper
-        seeds = np.random.default_rng(0).uniform(lower, upper, (_SEEDS, 7))
-        for seed in (self._facing(near, X_WT), READY, *seeds):
+        seeds = np.random.default_rng(0).uniform(
+            lower, upper, (_SEEDS, len(lower))
+        )
+        for seed in (self._facing(near, X_WT), self._model.ready, *seeds):
             q = self.cell.reach(X_WT, seed)
             if q is None or any(np.abs(q - p).max() < 0.1 for p in found):
                 continue
@@ -230,11 +224,11 @@ reach`) finds some, from several seeds; from there a straight path is followed
 
     def _facing(self, q: np.ndarray, X_WT: np.ndarray) -> np.ndarray:
         """Returns q with the arm as a whole turned towards a pose."""
-        turns = self._turns(_azimuth(self.pose(q)[:3, 3]), X_WT, q)
+        turns = self._turns(self._azimuth(self.pose(q)[:3, 3]), X_WT, q)
         if not turns:
             return q
         q = np.array(q)
-        q[0] -= turns[0]
+        q[0] += self._sign * turns[0]
         return q
 
     # Ways.
@@ -251,7 +245,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
         """Returns q and joint positions at poses, as far as it comes.
 
         Args:
-            q: (7,) joint positions where it begins.
+            q: (n,) joint positions where it begins.
             poses: 4×4 X_WT, near one another.
             guess: returns where the search for the joint positions at a pose
                 begins, of its number and the joint positions before.
@@ -275,7 +269,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
         return self._track(q, _straight(self.pose(q), X_WT)[1:], clear=True)[-1]
 
     def _line(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Returns joint positions (n, 7) along a straight way.
+        """Returns joint positions (m, n) along a straight way.
 
         Raises:
             ReachError: there is none.
@@ -291,7 +285,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
         return np.array([*knots, end])
 
     def _swing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Returns joint positions (n, 7) along a way about axis 1.
+        """Returns joint positions (m, n) along a way about axis 1.
 
         The arm turns as a whole, and draws the tool in or puts it out
         meanwhile, so that what hangs on it stays level; whatever else is
@@ -301,8 +295,8 @@ reach`) finds some, from several seeds; from there a straight path is followed
         """
         ways = []
         X_0, X_1 = self.pose(start), self.pose(end)
-        turns = self._turns(_azimuth(X_0[:3, 3]), X_1, start)
-        for turn in _nearest_first(turns, start[0] - end[0]):
+        turns = self._turns(self._azimuth(X_0[:3, 3]), X_1, start)
+        for turn in _nearest_first(turns, self._sign * (end[0] - start[0])):
             knots = self._turned(start, X_1, turn)
             if knots is None:
                 continue
@@ -325,30 +319,30 @@ reach`) finds some, from several seeds; from there a straight path is followed
         Args:
             azimuth: where the tool is, rad.
             X_WT: 4×4, where it is to be.
-            q: (7,) joint positions.
+            q: (n,) joint positions.
         """
-        turn = _azimuth(X_WT[:3, 3]) - azimuth
+        turn = self._azimuth(X_WT[:3, 3]) - azimuth
         turn = (turn + np.pi) % (2 * np.pi) - np.pi
         both = _nearest_first((turn, turn - np.sign(turn) * 2 * np.pi), 0.0)
         return [angle for angle in both if self._can_turn(q, angle)]
 
     def _can_turn(self, q: np.ndarray, angle: float) -> bool:
-        """Says whether axis 1, which points down, can turn by an angle, rad."""
+        """Says whether axis 1 can turn the arm by an angle, rad."""
         lower, upper = self.limits.lower[0], self.limits.upper[0]
-        return bool(lower < q[0] - angle < upper)
+        return bool(lower < q[0] + self._sign * angle < upper)
 
     def _turned(
         self, start: np.ndarray, X_WT: np.ndarray, turn: float
     ) -> np.ndarray | None:
-        """Returns joint positions (n, 7) to where a pose is, or None.
+        """Returns joint positions (m, n) to where a pose is, or None.
 
         Args:
-            start: (7,) joint positions.
+            start: (n,) joint positions.
             X_WT: 4×4; the tool comes to its origin, its orientation is that
                 at the start, turned about the vertical.
             turn: the angle, rad.
         """
-        X_0, axis = self.pose(start), MOUNT[:2, 3]
+        X_0, axis = self.pose(start), self._axis
         out = X_0[:2, 3] - axis
         # What is missing when the arm has turned as a whole, seen from it.
         rest = _about_vertical(-turn)[:2, :2] @ (X_WT[:2, 3] - axis) - out
@@ -360,7 +354,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
             R = _about_vertical(share * turn)
             at = out + share * rest
             radius = np.hypot(*at)
-            drawn = np.clip(radius, *_TURNING_RADIUS)
+            drawn = np.clip(radius, *self._model.turning_radius)
             bend = min(abs(turn) / np.pi * 16 * (share - share**2) ** 2, 1.0)
             at = at * (1 + bend * (drawn / radius - 1))
             X = np.array(X_0)
@@ -368,10 +362,15 @@ reach`) finds some, from several seeds; from there a straight path is followed
             X[2, 3] += share * rise
             X[:3, :3] = R @ X_0[:3, :3]
             poses.append(X)
-        turned = np.zeros(7)
-        turned[0] = turn / number
-        knots = self._track(start, poses, lambda _, q: q - turned)
+        turned = np.zeros(len(start))
+        turned[0] = self._sign * turn / number
+        knots = self._track(start, poses, lambda _, q: q + turned)
         return np.array(knots) if len(knots) > len(poses) else None
+
+    def _azimuth(self, p_W: np.ndarray) -> float:
+        """Returns where a point is, seen from axis 1, rad."""
+        out = p_W[:2] - self._axis
+        return float(np.arctan2(out[1], out[0]))
 
     def _is_clear(self, knots: np.ndarray) -> bool:
         return all(self.cell.is_clear(q) for q in knots)
@@ -401,9 +400,3 @@ def _nearest_first(angles: Sequence[float], wanted: float) -> list[float]:
 
 def _about_vertical(angle: float) -> np.ndarray:
     return RotationMatrix.MakeZRotation(angle).matrix()
-
-
-def _azimuth(p_W: np.ndarray) -> float:
-    """Returns where a point is, seen from axis 1, rad."""
-    out = p_W[:2] - MOUNT[:2, 3]
-    return float(np.arctan2(out[1], out[0]))

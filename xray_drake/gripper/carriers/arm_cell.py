@@ -2,6 +2,8 @@
 
 import itertools
 import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -21,29 +23,70 @@ from pydrake.systems.framework import Context
 from xray_drake.gripper.models import add_carrier, add_hand, joint_limits
 from xray_drake.scene.plant import add_bin
 
-JOINTS = ("1", "2", "7", "3", "4", "5", "6")
-"""The arm's axes as ABB numbers them, in the order of all vectors here: rad."""
-
-MOUNT = np.array(
-    [[-1.0, 0, 0, 0.28], [0, 1.0, 0, 0], [0, 0, -1.0, 0.60], [0, 0, 0, 1]]
-)
-"""Pose X_WA of the arm's base, 4×4: axis 1 points down over the gap between bin
-and tote. The arm is too short to reach over both from beside them; from there
-it does, and it can keep out of the overhead camera's view."""
-
-_CHAIN = ("arm_base", *(f"link_{name}" for name in JOINTS), "gripper_base")
+_HAND = "gripper_base"
 _FINGERS = ("left_finger", "right_finger")
-_FILTERED = (
-    # Whether the gripper touches something in the bin is the grasp planner's
-    # to say.
-    *itertools.product(("arm_base", _CHAIN[-1], *_FINGERS), ("bin", "tote")),
-    *itertools.product(_FINGERS, _CHAIN),
-    *itertools.pairwise(_CHAIN),
-    *zip(_CHAIN, _CHAIN[2:], strict=False),
-    # The gripper's body is as wide as the wrist that carries it.
-    ("gripper_base", "link_4"),
+
+
+@dataclass(frozen=True, eq=False)
+class ArmModel:
+    """An arm whose first axis is vertical, and where it stands.
+
+    Attributes:
+        file: in ``models/gripper``; the gripper is welded to its frame "tool".
+        links: its bodies from base to tool; the joints are in their order.
+        X_WA: 4×4 pose of the first of them, m.
+        ready: (n,) joint positions somewhere in the middle of its reach, rad.
+        home: (n,) joint positions near those at home, rad.
+        home_place: where the tool is at home, pointing down, x and y, m.
+        headroom: the tool stays so far below the base, where the arm has room
+            to fold, m.
+        turning_radius: so near axis 1 is the tool while the arm turns, to pass
+            base and posts, m.
+    """
+
+    file: str
+    links: tuple[str, ...]
+    X_WA: np.ndarray
+    ready: np.ndarray
+    home: np.ndarray
+    home_place: tuple[float, float]
+    headroom: float
+    turning_radius: tuple[float, float]
+
+    def add(self, plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
+        """Adds the arm to a plant; returns it and its tool frame."""
+        return add_carrier(plant, self.file, self.links[0], self.X_WA)
+
+    def filtered(self) -> Iterator[tuple[str, str]]:
+        """Yields pairs of bodies of which a distance tells nothing."""
+        chain = (*self.links, _HAND)
+        # Whether the gripper touches something in the bin is the grasp
+        # planner's to say.
+        still = (self.links[0], _HAND, *_FINGERS)
+        yield from itertools.product(still, ("bin", "tote"))
+        yield from itertools.product(_FINGERS, chain)
+        yield from itertools.pairwise(chain)
+        yield from zip(chain, chain[2:], strict=False)
+        # The gripper's body is as wide as the wrist that carries it.
+        yield _HAND, self.links[-3]
+
+
+YUMI_ARM = ArmModel(
+    file="yumi_arm.sdf",
+    # The arm's axes as ABB numbers them.
+    links=("arm_base", *(f"link_{name}" for name in "1273456")),
+    # Axis 1 points down over the gap between bin and tote. The arm is too short
+    # to reach over both from beside them; from there it does, and it can keep
+    # out of the overhead camera's view.
+    X_WA=np.array(
+        [[-1.0, 0, 0, 0.28], [0, 1.0, 0, 0], [0, 0, -1.0, 0.60], [0, 0, 0, 1]]
+    ),
+    ready=np.deg2rad([0.0, -60.0, 0.0, 10.0, 0.0, 60.0, 0.0]),
+    home=np.deg2rad([103.0, -108.0, -111.0, 53.0, 63.0, 88.0, -69.0]),
+    home_place=(0.52, 0.0),
+    headroom=0.18,
+    turning_radius=(0.22, 0.34),
 )
-"""Pairs of bodies of which a distance tells nothing."""
 
 _MARGIN = 0.005
 """Links stay so far from bin, tote, post and one another, m."""
@@ -59,11 +102,6 @@ _CENTRING = 0.02
 far as the pose leaves it free."""
 
 
-def add_arm(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
-    """Adds the arm to a plant, hung up; returns it and its tool frame."""
-    return add_carrier(plant, "yumi_arm.sdf", "arm_base", MOUNT)
-
-
 class ArmCell:
     """Where the tool is, what the arm touches, and how it gets to a pose.
 
@@ -75,11 +113,11 @@ class ArmCell:
         limits: of its n joints.
     """
 
-    def __init__(self) -> None:
-        """Builds the plant."""
+    def __init__(self, model: ArmModel) -> None:
+        """Builds the plant of an arm."""
         builder = RobotDiagramBuilder(0.0)
         plant = builder.plant()
-        arm, tool = add_arm(plant)
+        arm, tool = model.add(plant)
         add_bin(plant, with_tote=True)
         hand = add_hand(plant, tool)
         self.limits = joint_limits(plant, arm)
@@ -96,11 +134,11 @@ class ArmCell:
         )
         drake.setLevel(level)
         plant = self._checker.plant()
-        for names in _FILTERED:
+        for names in model.filtered():
             first, second = map(plant.GetBodyByName, names)
             if not self._checker.IsCollisionFilteredBetween(first, second):
                 self._checker.SetCollisionFilteredBetween(first, second, True)
-        size, n = plant.num_positions(), len(JOINTS)
+        size, n = plant.num_positions(), len(self.limits.lower)
         self._rest = np.zeros(size - n)
         limits, rest = self.limits, self._rest
         step = np.r_[np.full(n, _LONGEST), rest]
@@ -114,11 +152,11 @@ class ArmCell:
         self._steps.set_nominal_joint_position(np.r_[middle, rest])
 
     def pose(self, q: np.ndarray) -> np.ndarray:
-        """Returns the tool's 4×4 pose X_WT at joint positions (7,)."""
+        """Returns the tool's 4×4 pose X_WT at joint positions (n,)."""
         return self._pose(self._at(q)).GetAsMatrix4()
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Returns (6, 7): angular velocity of the tool over its velocity."""
+        """Returns (6, n): angular velocity of the tool over its velocity."""
         plant = self._checker.plant()
         world = plant.world_frame()
         J = plant.CalcJacobianSpatialVelocity(
@@ -134,7 +172,7 @@ class ArmCell:
     def inertial_torque(
         self, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray
     ) -> np.ndarray:
-        """Returns (7,) what it takes to move so with the gripper, N·m."""
+        """Returns (n,) what it takes to move so with the gripper, N·m."""
         plant, context, n = self._checker.plant(), self._at(q), len(q)
         plant.SetVelocities(context, np.r_[v, self._rest])
         M = plant.CalcMassMatrix(context)[:n, :n]
@@ -147,11 +185,11 @@ class ArmCell:
     def reach(
         self, X_WT: np.ndarray, q: np.ndarray, *, centred: bool = True
     ) -> np.ndarray | None:
-        """Returns joint positions (7,) near q exactly at a pose, or None.
+        """Returns joint positions (n,) near q exactly at a pose, or None.
 
         Args:
             X_WT: 4×4, m.
-            q: (7,) where to begin.
+            q: (n,) where to begin.
             centred: at first it goes to the middle of the joints' limits, too.
         """
         target, plant = RigidTransform(X_WT), self._checker.plant()

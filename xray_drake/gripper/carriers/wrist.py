@@ -17,6 +17,7 @@ from xray_drake.gripper.models import (
     joint_limits,
     moving_joints,
 )
+from xray_drake.gripper.transfer import HOME
 from xray_drake.messages import Message
 
 JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -169,7 +170,7 @@ def make_wrist(
     plant: MultibodyPlant,
     instance: ModelInstanceIndex,
     hand: ModelInstanceIndex,
-    X_WT: np.ndarray,
+    X_BJ: np.ndarray,
 ) -> Wrist:
     """Returns the kinematics of the wrist in a plant.
 
@@ -177,7 +178,7 @@ def make_wrist(
         plant: holds it.
         instance: the wrist.
         hand: the gripper on it.
-        X_WT: 4×4 pose of the tool at home, m.
+        X_BJ: 4×4 pose of the jaw frame in the tool frame, m.
 
     Raises:
         ReachError: it cannot be at home.
@@ -196,4 +197,5 @@ def make_wrist(
         limits=joint_limits(plant, instance),
         mass=(np.cumsum(own[::-1])[::-1] + sum(held))[:3],
     )
+    X_WT = HOME @ np.linalg.inv(X_BJ)
     return replace(wrist, home=wrist.joints(X_WT, near=wrist.home))
