@@ -19,6 +19,7 @@ from xray_drake.messages import (
     Grasp,
     InstanceMasks,
     OccupancyDistribution,
+    RankedCandidate,
     SearchAction,
 )
 
@@ -153,7 +154,11 @@ def test_segments_have_colours_too(replay: Replay) -> None:
 def test_scores_as_heat(replay: Replay) -> None:
     shot = replay.snapshots[0]
     names = shot.instances.names
-    scored = SearchAction(1, ranking=names[:2], scores=(4.0, 1.0))
+    ranking = (
+        RankedCandidate(names[0], 4.0, False),
+        RankedCandidate(names[1], 1.0, False),
+    )
+    scored = SearchAction(1, ranking=ranking)
     colors = score_colors(replace(shot, action=scored))
     np.testing.assert_allclose(colors[0], heat(np.array(1.0)))
     np.testing.assert_allclose(colors[1], heat(np.array(0.0)))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from xray_drake.inspector.replay import Replay
-from xray_drake.inspector.snapshot import Snapshot
-from xray_drake.messages import Outcome, RankedCandidate
+from xray_drake.inspector.snapshot import Snapshot, ranking_lines
+from xray_drake.messages import Outcome, RankedCandidate, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.testing.tiny import Observation
 
@@ -58,6 +58,29 @@ def test_grasps_of_the_candidates_ranked_highest(replay: Replay) -> None:
     for name, grasp in shot.grasps.items():
         assert grasp.object == name
         assert grasp.quality > 0
+
+
+def test_a_ranking_in_words(replay: Replay) -> None:
+    reason = "no grasp: jaw: 12 too wide, 3 hit mug_003; suction: 40 no seal"
+    action = replace(
+        replay.snapshots[0].action,
+        ranking=(
+            RankedCandidate("cup", 4.0, False, reason),
+            RankedCandidate("book", 2.5, True),
+            *(RankedCandidate(f"pad_{k}", 0.125, False) for k in range(3)),
+        ),
+    )
+    lines = ranking_lines(action, most=4)
+    assert max(map(len, lines)) <= 72
+    assert " ".join(map(str.strip, lines[:2])) == f"1. cup, score 4: {reason}"
+    kind = action.grasp.kind.value
+    assert lines[2:] == (
+        f"2. book, score 2.5: by {kind}",
+        "3. pad_0, score 0.125",
+        "4. pad_1, score 0.125",
+        "and 1 more",
+    )
+    assert ranking_lines(SearchAction(1)) == ()
 
 
 def with_scores(shot: Snapshot, scores: tuple[float, ...]) -> Snapshot:

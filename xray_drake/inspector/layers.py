@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from xray_drake.drawing.colors import heat, instance_colors
 from xray_drake.drawing.meshcat_layers import (
@@ -15,11 +16,13 @@ from xray_drake.drawing.meshcat_layers import (
     draw_occupancy,
     draw_outline,
     draw_points,
+    draw_text,
     set_layer_opacity,
 )
 from xray_drake.drawing.primitives import Lines, Points, frustum_lines
 from xray_drake.geometry.readings import has_reading
-from xray_drake.inspector.snapshot import Snapshot
+from xray_drake.inspector.snapshot import Snapshot, ranking_lines
+from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y
 
 ROOT = "/inspect"
 
@@ -30,6 +33,15 @@ _TARGET_LINE = 2
 _CAMERA_COLOR = (0.1, 0.3, 0.8)
 _CANDIDATE_ROD = 0.001
 """Radius, m: thinner than the grasp that was chosen."""
+
+_X_W_TEXT = RigidTransform(
+    RollPitchYaw(np.pi / 2, 0.0, 0.0),
+    [BIN_FLOOR_X[0] + 0.01, BIN_FLOOR_Y[1] - 0.002, 0.015],
+)
+"""On the bin's far wall."""
+_TEXT = 0.0115
+"""Height of a line, m."""
+_TEXT_COLOR = (0.15, 0.17, 0.2)
 
 _POINT, _POINT_STEP = 0.002, 2
 """Size, m; of so many rows and columns one is drawn."""
@@ -152,6 +164,11 @@ def _draw_points(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
     draw_points(meshcat, path, seen_points(shot))
 
 
+def _draw_ranking(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
+    lines = ranking_lines(shot.action)
+    draw_text(meshcat, path, lines, _X_W_TEXT, height=_TEXT, color=_TEXT_COLOR)
+
+
 LAYERS = (
     Layer("occupancy", _draw_occupancy, 0.75, translucent=True),
     Layer("instances", _draw_instances, translucent=True),
@@ -163,6 +180,7 @@ LAYERS = (
     Layer("silhouette", _draw_silhouette, 1.0),
     Layer("grasp", _draw_chosen, 1.0),
     Layer("candidates", _draw_candidates),
+    Layer("ranking", _draw_ranking, 1.0),
     Layer("camera", _draw_camera),
     Layer("points", _draw_points),
 )
@@ -174,13 +192,14 @@ LAYERS = (
 - ``silhouette``: the outline of the target's true amodal mask;
 - ``grasp``: what is grasped next, and how;
 - ``candidates``: the best grasp on each other candidate, coloured by quality;
+- ``ranking``: the candidates' scores, and why some were passed over;
 - ``camera``: its frustum, down to the floor;
 - ``points``: the depth image as perception has it.
 """
 
 
 SEARCH_LAYERS = tuple(
-    layer for layer in LAYERS if layer.name in ("occupancy", "grasp")
+    layer for layer in LAYERS if layer.name in ("occupancy", "grasp", "ranking")
 )
 """What is seen of a search while it goes on: nothing that only truth knows."""
 

@@ -11,6 +11,7 @@ from xray_drake.inspector.replay import (
     first_decision,
     replay_search,
 )
+from xray_drake.inspector.snapshot import ranking_lines
 from xray_drake.inspector.view import ReplayView
 from xray_drake.scene.targets import TARGET_NAMES
 from xray_drake.station.objects import make_heap
@@ -102,7 +103,11 @@ class InspectorPage:
         self._controls.set_slider(STEP, step)
 
     def _tell(self) -> None:
-        self._announce("; ".join(self.view.describe(self.view.step)[1:]))
+        view = self.view
+        self._announce("; ".join(view.describe(view.step)[1:]))
+        for shot in view.replay.snapshots[view.step - 1 : view.step]:
+            for line in ranking_lines(shot.action):
+                self._announce(f"  {line}")
 
     def _show(self, replay: Replay) -> None:
         """Replaces what is shown; layers stay on or off."""

@@ -1,5 +1,6 @@
 """What is shown of one decision of a search: data alone."""
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,6 +21,9 @@ from xray_drake.policy.system import SearchPolicy
 from xray_drake.search.diagram import SearchDiagram
 from xray_drake.search.monitor import Observer
 from xray_drake.search.record import ActionRecord
+
+_LINE_LENGTH = 72
+"""Characters."""
 
 Poses = Mapping[str, np.ndarray]
 """Object name to its 4×4 X_WO, m."""
@@ -88,6 +92,28 @@ class Snapshot:
         shares = (scores - low) / (high - low) if high > low else scores**0
         names = [candidate.name for candidate in action.ranking]
         return dict(zip(names, shares.tolist(), strict=True))
+
+
+def ranking_lines(action: SearchAction, *, most: int = 6) -> tuple[str, ...]:
+    """Tells a ranking: places, scores, and why candidates were passed over.
+
+    Args:
+        action: the decision.
+        most: candidates; of those after the one grasped none needs be told.
+
+    Returns:
+        A line or, where the reason is long, several for each candidate.
+    """
+    lines: list[str] = []
+    for place, candidate in enumerate(action.ranking[:most], 1):
+        line = f"{place}. {candidate.name}, score {candidate.score:.4g}"
+        if candidate.passed_over:
+            line += f": {candidate.passed_over}"
+        elif candidate.name == action.grasp.object:
+            line += f": by {action.grasp.kind.value}"
+        lines += textwrap.wrap(line, _LINE_LENGTH, subsequent_indent="    ")
+    more = len(action.ranking) - most
+    return (*lines, f"and {more} more") if more > 0 else tuple(lines)
 
 
 def take_snapshot(
