@@ -5,16 +5,9 @@ from xray_drake.messages import InstanceMasks, TargetMask
 from xray_drake.perception.ground_truth import (
     instances_from_labels,
     target_instance,
-    target_mask_from_labels,
 )
 
 LABELS = np.array([[0, 7, 7, 9], [0, 7, 3, 9], [32767, 3, 3, 9]], np.int16)
-
-
-def test_the_targets_mask_is_its_label() -> None:
-    mask = target_mask_from_labels(LABELS, 3).data
-    np.testing.assert_array_equal(mask, LABELS == 3)
-    assert not target_mask_from_labels(LABELS, 4).data.any()
 
 
 def test_instances_are_the_objects_seen() -> None:

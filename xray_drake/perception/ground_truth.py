@@ -7,16 +7,6 @@ import numpy as np
 from xray_drake.messages import InstanceMasks, TargetMask
 
 
-def target_mask_from_labels(labels: np.ndarray, label: int) -> TargetMask:
-    """Returns the target's modal mask.
-
-    Args:
-        labels: (H, W) integer label image.
-        label: the target's value in it.
-    """
-    return TargetMask(labels == label)
-
-
 def instances_from_labels(
     labels: np.ndarray, names: Mapping[str, int]
 ) -> InstanceMasks:

@@ -1,15 +1,15 @@
 """Regions of an image, joined where what parts them is weak."""
 
 import heapq
-from dataclasses import dataclass
+from operator import add
+from typing import NamedTuple
 
 import numpy as np
 
 _BACKGROUND = 0
 
 
-@dataclass(frozen=True)
-class _Border:
+class _Border(NamedTuple):
     """What parts two regions, seen from one of them.
 
     Attributes:
@@ -23,20 +23,17 @@ class _Border:
     strength: float = 0.0
     above: int = 0
 
-    def __add__(self, other: "_Border") -> "_Border":
-        return _Border(
-            self.length + other.length,
-            self.strength + other.strength,
-            self.above + other.above,
-        )
-
     @property
     def mean(self) -> float:
         return self.strength / self.length
 
+    def joined(self, other: "_Border") -> "_Border":
+        """Returns the two as one."""
+        return _Border(*map(add, self, other))
+
     def turned(self) -> "_Border":
         """Returns the border as the other region sees it."""
-        return _Border(self.length, self.strength, -self.above)
+        return self._replace(above=-self.above)
 
 
 class RegionGraph:
@@ -184,7 +181,7 @@ class RegionGraph:
         for other, border in self._borders[b].items():
             if other == a:
                 continue
-            whole = self._borders[a].get(other, _Border()) + border
+            whole = self._borders[a].get(other, _Border()).joined(border)
             self._borders[a][other] = whole
             del self._borders[other][b]
             self._borders[other][a] = whole.turned()

@@ -1,6 +1,7 @@
 """How good a segmentation is, given the truth."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from operator import add
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -34,16 +35,7 @@ class SegmentationScore:
     foreign_pixels: int = 0
 
     def __add__(self, other: "SegmentationScore") -> "SegmentationScore":
-        return SegmentationScore(
-            self.objects + other.objects,
-            self.segments + other.segments,
-            self.matched + other.matched,
-            self.iou_sum + other.iou_sum,
-            self.recalled + other.recalled,
-            self.object_pixels + other.object_pixels,
-            self.best_pixels + other.best_pixels,
-            self.foreign_pixels + other.foreign_pixels,
-        )
+        return SegmentationScore(*map(add, astuple(self), astuple(other)))
 
     @property
     def mean_iou(self) -> float:

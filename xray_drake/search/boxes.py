@@ -11,14 +11,12 @@ from xray_drake.occupancy.geometric.expected import ExpectedLabel
 from xray_drake.occupancy.geometric.inference import exact_model
 from xray_drake.occupancy.learned.inference import load_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
-from xray_drake.perception.sensor_systems import (
-    DepthInstanceSegmenter,
-    HsvTargetDetector,
-    NoisyDepthSensor,
-)
 from xray_drake.perception.systems import (
+    DepthInstanceSegmenter,
     GroundTruthInstanceSegmenter,
     GroundTruthTargetDetector,
+    HsvTargetDetector,
+    NoisyDepthSensor,
 )
 from xray_drake.policy.beyond.memory import TargetMemory
 from xray_drake.policy.beyond.memory_system import SearchMemory
