@@ -1,7 +1,7 @@
 """How a rigid body can lie at rest on the floor, and how likely each way is."""
 
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -14,8 +14,6 @@ _REACH = 60
 
 _TURNS = 72
 """Turns about the vertical at which they are compared."""
-
-_CACHED = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,26 +58,14 @@ def resting_poses(
     Raises:
         ValueError: a mesh without volume, or without any stable pose.
     """
-    vertices = np.asarray(mesh.vertices, dtype=float)
-    faces = np.asarray(mesh.faces)
-    if p_OCom is None:
-        p_OCom = mesh.center_mass
-    p_OCom = np.asarray(p_OCom, dtype=float)
-    key = (
-        vertices.tobytes(),
-        faces.tobytes(),
-        p_OCom.tobytes(),
+    com = mesh.center_mass if p_OCom is None else p_OCom
+    return _find(
+        np.asarray(mesh.vertices, dtype=float).tobytes(),
+        np.asarray(mesh.faces, dtype=np.int64).tobytes(),
+        np.asarray(com, dtype=float).tobytes(),
         least_share,
         same,
     )
-    if key not in _known:
-        _known[key] = _find(vertices, faces, p_OCom, least_share, same)
-        while len(_known) > _CACHED:
-            _known.popitem(last=False)
-    return _known[key]
-
-
-_known: OrderedDict[tuple, tuple[RestingPose, ...]] = OrderedDict()
 
 
 def standing(vertices: np.ndarray, R_WO: np.ndarray) -> np.ndarray:
@@ -104,13 +90,17 @@ def lean(poses: tuple[RestingPose, ...], X_WO: np.ndarray) -> float:
     return float(np.arccos(np.clip(nearest, -1.0, 1.0)))
 
 
+@lru_cache(maxsize=32)
 def _find(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    p_OCom: np.ndarray,
+    vertex_bytes: bytes,
+    face_bytes: bytes,
+    com_bytes: bytes,
     least_share: float,
     same: float,
 ) -> tuple[RestingPose, ...]:
+    vertices = np.frombuffer(vertex_bytes).reshape(-1, 3)
+    faces = np.frombuffer(face_bytes, dtype=np.int64).reshape(-1, 3)
+    p_OCom = np.frombuffer(com_bytes)
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     if len(spread) < 3 or spread[-1] <= 1e-9 * spread[0]:
         raise ValueError("a body without volume does not rest")

@@ -5,12 +5,10 @@ from dataclasses import replace
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context
 
 from xray_drake.inspector.controls import Controls
 from xray_drake.inspector.recording import SearchDrawing
-from xray_drake.messages import SearchAction
-from xray_drake.search.diagram import SearchDiagram, build_search_diagram
+from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.monitor import Observer, SearchMonitor, attach_monitor
 from xray_drake.search.record import SearchRecord
 from xray_drake.station.scenario import Scenario
@@ -18,18 +16,6 @@ from xray_drake.station.scenario import Scenario
 BUTTONS = ("step", "run", "new heap")
 
 _SLICE = 0.1
-
-
-class _Decisions(Observer):
-    """Counts decisions, so that a step can stop before the gripper moves."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def decided(
-        self, diagram: SearchDiagram, context: Context, action: SearchAction
-    ) -> None:
-        self.count = action.number
 
 
 class InteractiveSearch:
@@ -66,7 +52,6 @@ class InteractiveSearch:
         self._until = 0
         self._simulator: Simulator | None = None
         self._monitor: SearchMonitor | None = None
-        self._decisions = _Decisions()
         self._controls = Controls(meshcat)
         for name in BUTTONS:
             self._controls.add_button(name)
@@ -76,6 +61,10 @@ class InteractiveSearch:
         """What has happened so far; None before the first heap."""
         return self._monitor.record if self._monitor else None
 
+    @property
+    def _decided(self) -> int:
+        return len(self.record.actions) if self.record else 0
+
     def new_heap(self, seed: int) -> None:
         """Drops a heap and waits for a button."""
         self._scenario = replace(self._scenario, seed=seed)
@@ -84,7 +73,6 @@ class InteractiveSearch:
         diagram = build_search_diagram(
             self._scenario, meshcat=self._meshcat, progress=self._progress
         )
-        self._decisions = _Decisions()
         self._simulator = Simulator(diagram)
         ApplySimulatorConfig(self._scenario.simulator_config, self._simulator)
         self._monitor = attach_monitor(
@@ -92,7 +80,6 @@ class InteractiveSearch:
             diagram,
             observers=(
                 SearchDrawing(self._meshcat),
-                self._decisions,
                 *self._observers,
             ),
         )
@@ -101,7 +88,7 @@ class InteractiveSearch:
 
     def step(self) -> None:
         """Goes on until the next decision."""
-        self._running, self._until = True, self._decisions.count + 1
+        self._running, self._until = True, self._decided + 1
 
     def run(self) -> None:
         """Goes on to the end of the search."""
@@ -130,7 +117,7 @@ class InteractiveSearch:
             return False
         now = self._simulator.get_context().get_time()
         self._simulator.AdvanceTo(now + _SLICE)
-        if self._decisions.count >= self._until:
+        if self._decided >= self._until:
             self._running = False
         return True
 
