@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.grasping.depth_scenes import at, downwards
 from xray_drake.grasping.evidence.collision import GraspScene
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.scene.object_model import object_from_pieces
@@ -14,18 +15,6 @@ def block(name, *extents):
     return object_from_pieces(
         name, [trimesh.creation.box(extents)], density=500.0
     )
-
-
-def at(x, y, z):
-    X = np.eye(4)
-    X[:3, 3] = x, y, z
-    return X
-
-
-def downwards(x, y, z):
-    X = np.diag([1.0, -1.0, -1.0, 1.0])
-    X[:3, 3] = x, y, z
-    return X
 
 
 def scene(*objects, **options):
@@ -57,25 +46,19 @@ def test_the_object_between_the_fingers(width, collides):
     assert s.jaw_collides(X_WG, OPENING) == collides
 
 
+@pytest.mark.parametrize("tool", ["jaw", "suction"])
 @pytest.mark.parametrize(
     ("distance", "collides"), [(0.10, True), (0.02, False)]
 )
-def test_the_approach_is_swept(distance, collides):
-    """An overhang above the gripper's end pose is in the way before it."""
+def test_the_approach_is_swept(tool, distance, collides):
+    """An overhang above the gripper's end pose is in the way before it; with
+    the cup down, the body's back is 180 mm above the lip."""
     s = scene(block("roof", 0.05, 0.05, 0.01), approach_distance=distance)
-    s.set_poses({"roof": at(0, 0, 0.17)})
-    X_WG = downwards(0, 0, 0.005)
-    assert s.jaw_collides(X_WG, OPENING) == collides
-
-
-@pytest.mark.parametrize(
-    ("distance", "collides"), [(0.10, True), (0.02, False)]
-)
-def test_the_cups_approach_is_swept(distance, collides):
-    """The body's back is 180 mm above the lip."""
-    s = scene(block("roof", 0.05, 0.05, 0.01), approach_distance=distance)
-    s.set_poses({"roof": at(0, 0, 0.22)})
-    assert s.suction_collides(downwards(0, 0, 0.01)) == collides
+    s.set_poses({"roof": at(0, 0, 0.17 if tool == "jaw" else 0.22)})
+    if tool == "jaw":
+        assert s.jaw_collides(downwards(0, 0, 0.005), OPENING) == collides
+    else:
+        assert s.suction_collides(downwards(0, 0, 0.01)) == collides
 
 
 @pytest.mark.parametrize("tool", ["jaw", "suction"])

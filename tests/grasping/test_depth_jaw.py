@@ -19,8 +19,11 @@ from xray_drake.grasping.evidence.rims import (
     pair_rims,
     wall_points,
 )
+from xray_drake.grasping.judgement import GripperModel
 
-PADS = {"pad_width": 0.01, "pad_height": 0.01, "tip": 0.003}
+GRIPPER = GripperModel()
+"""Its pads are 10 mm wide and high, and reach 3 mm beyond the origin."""
+
 LIMITS = {
     "friction": 0.5,
     "min_width": 0.002,
@@ -176,7 +179,7 @@ def test_closing_against_points_one_by_one(seed):
         ]
     )
     opening = rng.uniform(0.02, 0.05, 5)
-    found = close_pads(points, normals, X_WG, opening, compliance=0.001, **PADS)
+    found = close_pads(points, normals, X_WG, opening, GRIPPER)
     for i in range(5):
         contacts = close_one(points, normals, X_WG[i], opening[i])
         width = sum(y for y, _ in contacts) if contacts else -1.0
@@ -200,9 +203,7 @@ def test_pads_meet_a_blocks_sides():
             downwards(0.07, 0, 0.013),
         ]
     )
-    squeeze = close_pads(
-        points, normals, X_WG, np.full(3, 0.04), compliance=0.001, **PADS
-    )
+    squeeze = close_pads(points, normals, X_WG, np.full(3, 0.04), GRIPPER)
     assert squeeze.found.tolist() == [True, False, False]
     assert squeeze.width[0] == pytest.approx(0.03, abs=0.002)
     assert np.rad2deg(squeeze.angle[0]) < 12

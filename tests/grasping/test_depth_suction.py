@@ -15,8 +15,9 @@ from xray_drake.grasping.evidence.depth_suction import (
     seals_seen,
 )
 from xray_drake.grasping.evidence.sampling import seal_cups
+from xray_drake.grasping.judgement import Lip
 
-LIMITS = {"radius": 0.015, "tolerance": 0.0025, "max_normal_angle": 0.7}
+LIP = Lip(0.015, 0.0025, 0.7)
 
 
 @pytest.mark.parametrize("name", ["nominal", "tilted"])
@@ -24,7 +25,7 @@ LIMITS = {"radius": 0.015, "tolerance": 0.0025, "max_normal_angle": 0.7}
 def test_a_plate_is_found_where_the_lip_fits(name, pitch):
     X = at(0.05, 0.02, 0.05, 0, pitch, 0.3)
     surface = surface_of(CAMERAS[name], block([0.07, 0.05, 0.01], X))
-    points, _ = seals_seen(surface, count=200, **LIMITS)
+    points, _ = seals_seen(surface, LIP, count=200)
     assert len(points) > 30
     p = (points.point - X[:3, 3]) @ X[:3, :3]
     np.testing.assert_allclose(p[:, 2], 0.005, atol=5e-4)
@@ -44,16 +45,16 @@ def test_a_ball_must_be_large(radius, seals):
     """The lip's normals lean by asin(r / R) from the cup's axis."""
     surface = surface_of(CAMERAS["nominal"], ball(radius, 0, 0, radius))
     cup = downwards(0, 0, 2 * radius)[None]
-    seal = seal_on_depth(surface, cup, **LIMITS)
+    seal = seal_on_depth(surface, cup, LIP)
     assert seal.closed[0] == seals
-    assert (len(seals_seen(surface, count=200, **LIMITS)[0]) > 0) == seals
+    assert (len(seals_seen(surface, LIP, count=200)[0]) > 0) == seals
 
 
 def test_a_narrow_plate_is_none():
     surface = surface_of(
         CAMERAS["nominal"], block([0.08, 0.026, 0.01], at(0, 0, 0.005))
     )
-    assert len(seals_seen(surface, count=200, **LIMITS)[0]) == 0
+    assert len(seals_seen(surface, LIP, count=200)[0]) == 0
 
 
 def test_how_far_a_cup_is_from_a_plate():
@@ -61,9 +62,7 @@ def test_how_far_a_cup_is_from_a_plate():
         CAMERAS["nominal"], block([0.07, 0.07, 0.01], at(0, 0, 0.005))
     )
     lean = at(0, 0, 0.013, roll=np.pi + 0.1)
-    seal = seal_on_depth(
-        surface, np.array([downwards(0, 0, 0.013), lean]), **LIMITS
-    )
+    seal = seal_on_depth(surface, np.array([downwards(0, 0, 0.013), lean]), LIP)
     assert seal.closed.all()
     np.testing.assert_allclose(seal.nearest[0], 0.003, atol=2e-4)
     np.testing.assert_allclose(seal.spread, [0, 0.030 * np.tan(0.1)], atol=5e-4)
@@ -81,14 +80,12 @@ def test_it_agrees_with_the_seal_on_the_mesh():
         mesh.apply_translation([0.03, 0.02, -mesh.bounds[0, 2]])
         surface = surface_of(CAMERAS["nominal"], mesh)
         cups = np.array([downwards(*p) for p in surface.object_points[::40]])
-        seen = seal_on_depth(surface, cups, **LIMITS).closed
+        seen = seal_on_depth(surface, cups, LIP).closed
         for grow, loose, says in ((0.003, 0.5, True), (-0.003, 1.5, False)):
             truth = seal_cups(
                 mesh,
                 cups,
-                radius=0.015 + grow,
-                tolerance=0.0025 * loose,
-                max_normal_angle=0.7,
+                Lip(0.015 + grow, 0.0025 * loose, 0.7),
             ).closed
             agree.append(seen[truth == says] == says)
     agree = np.concatenate(agree)

@@ -66,22 +66,23 @@ def test_boxes_and_frames():
     np.testing.assert_allclose(gripper.X_BC[:3, 2], [1, 0, 0], atol=1e-12)
 
 
-def test_a_mesh_is_refused(tmp_path):
-    text = SDF.read_text().replace(
-        "<box><size>0.060 0.080 0.070</size></box>",
-        "<sphere><radius>0.03</radius></sphere>",
-    )
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        (
+            "<box><size>0.060 0.080 0.070</size></box>",
+            "<sphere><radius>0.03</radius></sphere>",
+            "boxes and cylinders",
+        ),
+        (
+            "<pose>0 0 0.035 0 0 0</pose>",
+            "<pose>0 0 0.035 0.1 0 0</pose>",
+            "not aligned",
+        ),
+    ],
+)
+def test_other_shapes_are_refused(tmp_path, old, new, error):
     path = tmp_path / "gripper.sdf"
-    path.write_text(text)
-    with pytest.raises(ValueError, match="boxes and cylinders"):
-        load_gripper_geometry(path)
-
-
-def test_a_crooked_box_is_refused(tmp_path):
-    text = SDF.read_text().replace(
-        "<pose>0 0 0.035 0 0 0</pose>", "<pose>0 0 0.035 0.1 0 0</pose>"
-    )
-    path = tmp_path / "gripper.sdf"
-    path.write_text(text)
-    with pytest.raises(ValueError, match="not aligned"):
+    path.write_text(SDF.read_text().replace(old, new))
+    with pytest.raises(ValueError, match=error):
         load_gripper_geometry(path)

@@ -10,9 +10,11 @@ from xray_drake.grasping.evidence.sampling import (
     sample_suction,
     seal_cups,
 )
+from xray_drake.grasping.judgement import Lip
 from xray_drake.grasping.seal import RING_POINTS, frame_from_z, ring_offsets
 
 FRICTION = 0.5
+LIP = Lip(0.015, 0.001, np.deg2rad(15.0))
 
 
 def outward_normal_of_box(points, extents):
@@ -94,7 +96,7 @@ def test_samples_follow_from_the_seed(sampler):
     def draw(seed):
         rng = np.random.default_rng(seed)
         if sampler == "suction":
-            return sample_suction(mesh, rng, count=50, radius=0.01)[0].point
+            return sample_suction(mesh, rng, LIP, count=20)[0].point
         return sample_antipodal(
             mesh, rng, count=50, friction=FRICTION, max_width=0.045
         )[0].first
@@ -108,12 +110,11 @@ def test_samples_follow_from_the_seed(sampler):
     extents=st.tuples(*[st.floats(0.01, 0.1)] * 3), seed=st.integers(0, 1000)
 )
 def test_cups_stay_inside_the_faces_of_a_box(extents, seed):
-    radius = 0.015
     points, _ = sample_suction(
         trimesh.creation.box(extents),
         np.random.default_rng(seed),
+        LIP,
         count=60,
-        radius=radius,
     )
     if len(points) == 0:
         return
@@ -122,7 +123,7 @@ def test_cups_stay_inside_the_faces_of_a_box(extents, seed):
     margin = np.asarray(extents) / 2 - np.abs(points.point)
     margin[np.abs(normal) > 0.5] = np.inf
     # The lip is tested at 12 points: a corner may cut in between them.
-    assert margin.min() >= radius * np.cos(np.pi / RING_POINTS) - 1e-9
+    assert margin.min() >= LIP.radius * np.cos(np.pi / RING_POINTS) - 1e-9
 
 
 @pytest.mark.parametrize(
@@ -139,9 +140,7 @@ def test_cups_stay_inside_the_faces_of_a_box(extents, seed):
     ],
 )
 def test_what_a_cup_seals_on(mesh, seals):
-    points, _ = sample_suction(
-        mesh, np.random.default_rng(0), count=50, radius=0.015
-    )
+    points, _ = sample_suction(mesh, np.random.default_rng(0), LIP, count=50)
     assert (len(points) > 0) == seals
 
 
@@ -151,10 +150,8 @@ def test_a_cup_seals_on_the_side_of_a_wide_cylinder(radius, seals):
     points, _ = sample_suction(
         trimesh.creation.cylinder(radius, 0.2, sections=512),
         np.random.default_rng(0),
+        LIP._replace(max_normal_angle=0.5),
         count=100,
-        radius=0.015,
-        tolerance=0.001,
-        max_normal_angle=0.5,
     )
     on_side = np.abs(points.approach[:, 2]) < 0.5
     assert on_side.any() == seals
@@ -174,9 +171,7 @@ def test_a_tilted_cup_finds_the_plane_it_meets():
     seal = seal_cups(
         trimesh.creation.box([0.08, 0.08, 0.02]),
         X_OC[None],
-        radius=0.015,
-        tolerance=0.001,
-        max_normal_angle=0.2,
+        LIP._replace(max_normal_angle=0.2),
     )
     assert seal.closed[0]
     np.testing.assert_allclose(seal.normal[0], [0, 0, -1], atol=1e-6)

@@ -44,38 +44,21 @@ def test_jaw_at_the_center_of_mass_holds_twice_the_friction(
     assert held == pytest.approx(2 * friction * force, rel=1e-6)
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.001, 0.01, 0.05])
-def test_torsion_carries_a_center_of_mass_beside_the_axis(offset):
-    radius, friction, force = 0.003, 0.5, 20.0
+@pytest.mark.parametrize(
+    ("center", "gravity", "expected"),
+    [
+        # Beside the axis the torsion carries, ...
+        *(([x, 0, 0], DOWN, 20 / (1 + x / 0.003)) for x in (0, 0.001, 0.05)),
+        # ... along it the pads share, and the whole weight rests on one pad.
+        *(([0, y, 0], DOWN, 10 / (0.5 + y / WIDTH)) for y in (0.004, 0.02)),
+        ([0, 0, 0], np.array([0.0, 1.0, 0.0]), 20),
+    ],
+)
+def test_where_the_center_of_mass_is(center, gravity, expected):
     held = jaw_holding_force(
-        pads(radius),
-        np.array([offset, 0.0, 0.0]),
-        DOWN,
-        friction=friction,
-        force=force,
+        pads(), np.array(center), gravity, friction=0.5, force=20.0
     )
-    expected = 2 * friction * force / (1 + offset / radius)
     assert held == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize("offset", [0.0, 0.004, 0.02])
-def test_pads_share_a_center_of_mass_along_the_axis(offset):
-    held = jaw_holding_force(
-        pads(),
-        np.array([0.0, offset, 0.0]),
-        DOWN,
-        friction=0.5,
-        force=20.0,
-    )
-    expected = 0.5 * 20.0 / (0.5 + offset / WIDTH)
-    assert held == pytest.approx(expected, rel=1e-6)
-
-
-def test_weight_along_the_axis_rests_on_one_pad():
-    held = jaw_holding_force(
-        pads(), np.zeros(3), np.array([0.0, 1.0, 0.0]), friction=0.5, force=20.0
-    )
-    assert held == pytest.approx(20.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -122,21 +105,24 @@ CUP = {
 }
 
 
-def test_cup_above_the_center_of_mass_holds_the_vacuum_force():
-    held = suction_holding_force([0, 0, 0.02], [0, 0, 1], **CUP)
-    assert held == pytest.approx(14.0)
-
-
-@pytest.mark.parametrize("offset", [0.001, 0.01, 0.04])
-def test_cup_beside_the_center_of_mass_is_limited_by_its_lip(offset):
-    held = suction_holding_force([offset, 0, 0.02], [0, 0, 1], **CUP)
-    lip = np.pi * 0.015 * 2.2 / np.sqrt(2) / offset
-    assert held == pytest.approx(min(14.0, lip))
-
-
-def test_cup_on_a_vertical_face_is_limited_by_friction():
-    held = suction_holding_force([0, 0, 0], [1, 0, 0], **CUP)
-    assert held == pytest.approx(0.5 * 14.0 / np.sqrt(3))
+@pytest.mark.parametrize(
+    ("lever", "gravity", "expected"),
+    [
+        ([0, 0, 0.02], [0, 0, 1], 14.0),
+        # Beside the centre of mass the lip limits it, ...
+        *(
+            ([x, 0, 0.02], [0, 0, 1], np.pi * 0.015 * 2.2 / np.sqrt(2) / x)
+            for x in (0.01, 0.04)
+        ),
+        ([0.001, 0, 0.02], [0, 0, 1], 14.0),
+        # ... on a vertical face friction.
+        ([0, 0, 0], [1, 0, 0], 0.5 * 14.0 / np.sqrt(3)),
+    ],
+)
+def test_what_limits_a_cup(lever, gravity, expected):
+    assert suction_holding_force(lever, gravity, **CUP) == pytest.approx(
+        expected
+    )
 
 
 def test_cups_are_judged_independently():

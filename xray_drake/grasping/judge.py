@@ -1,11 +1,12 @@
 """Judges grasps on an object, by whatever it is known."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from xray_drake.grasping.candidates import moved
-from xray_drake.grasping.evidence.protocol import ObjectEvidence
+from xray_drake.grasping.evidence.protocol import Approach, ObjectEvidence
 from xray_drake.grasping.judgement import GripperModel, JudgedGrasp, too_weak
 from xray_drake.grasping.wrench import holding_quality
 from xray_drake.messages import GraspKind
@@ -46,67 +47,104 @@ def judge(
         overtravel: how far beyond X_WG the gripper is commanded, m.
         stopped: (n,) free space around jaws that have stopped already, m.
     """
-    n = len(X_WG)
     X_WG = np.array(X_WG, float)
-    space = np.full(n, np.inf) if stopped is None else stopped.copy()
-    closed, holding, factor = np.zeros(n), np.zeros(n), np.zeros(n)
-    reason = np.full(n, "", dtype=object)
     if kind is GraspKind.JAW:
-        opening = gripper.opening(width)
-        if stopped is None:
-            stop = seen.stop_jaw(X_WG, opening, overtravel)
-            X_WG, space, reason = stop.X_WG, stop.space, stop.reason.astype("O")
-        left = np.flatnonzero(reason == "")
-        if len(left):
-            pads = seen.close_pads(X_WG[left], opening[left], friction[left])
-            closed[left], holding[left] = pads.width, pads.holding
-            reason[left] = pads.reason
-            cone = np.arctan(np.maximum(friction[left], 1e-6))
-            factor[left] = (
-                0.5 + 0.5 * np.maximum(0, 1 - pads.angle / cone)
-            ) * (0.5 + 0.5 * pads.coverage)
+        grip = _squeeze(
+            seen, gripper, X_WG, width, friction, overtravel, stopped
+        )
     else:
-        seal = seen.lay_cup(X_WG)
-        travel = gripper.parameters.bellows_travel
-        limits = (
-            (~seal.closed, "cup does not seal"),
-            (
-                seal.nearest > overtravel + travel,
-                "cup does not reach the object",
-            ),
-            (
-                seal.nearest < -gripper.config.max_retreat - travel,
-                "cup is stopped too early",
-            ),
-            (seal.spread > 2 * travel, "cup is too oblique"),
-        )
-        for failed, why in limits:
-            reason[failed & (reason == "")] = why
-        left = np.flatnonzero(reason == "")
-        X_WG[left] = moved(X_WG[left], seal.nearest[left])
-        around = seen.cup_space(X_WG[left])
-        space[left], reason[left] = around.space, around.reason
-        z = seal.normal
-        x = X_WG[:, :3, 0]
-        x = x - np.einsum("ni,ni->n", x, z)[:, None] * z
-        x = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
-        R_WC = np.stack([x, np.cross(z, x), z], axis=-1)
-        holds = gripper.cup_holds(R_WC, seen.center - seal.center, friction)
-        holding = np.where(reason == "", holds, 0.0)
-        factor = 0.5 + 0.5 * (
-            1 - seal.unevenness / gripper.config.seal_tolerance
-        )
-    quality = holding_quality(holding, seen.weight) * factor
-    for i in np.flatnonzero((reason == "") & (quality <= 0)):
-        reason[i] = too_weak(holding[i], seen.weight)
+        grip = _seal(seen, gripper, X_WG, friction, overtravel)
+    quality = holding_quality(grip.holding, seen.weight) * grip.factor
+    for i in np.flatnonzero((grip.reason == "") & (quality <= 0)):
+        grip.reason[i] = too_weak(grip.holding[i], seen.weight)
     return [
         JudgedGrasp(
-            float(quality[i]) if reason[i] == "" else 0.0,
-            str(reason[i]),
-            X_WG[i],
-            float(closed[i]),
-            float(holding[i]),
-            float(space[i]),
+            float(quality[i]) if grip.reason[i] == "" else 0.0,
+            str(grip.reason[i]),
+            grip.X_WG[i],
+            float(grip.width[i]),
+            float(grip.holding[i]),
+            float(grip.space[i]),
         )
-        for i in range(n)
+        for i in range(len(X_WG))
     ]
+
+
+class _Grip(NamedTuple):
+    """(n,) rows of :class:`JudgedGrasp`; ``factor`` is that of quality."""
+
+    X_WG: np.ndarray
+    width: np.ndarray
+    holding: np.ndarray
+    factor: np.ndarray
+    space: np.ndarray
+    reason: np.ndarray
+
+
+def _squeeze(
+    seen: ObjectEvidence,
+    gripper: GripperModel,
+    X_WG: np.ndarray,
+    width: np.ndarray,
+    friction: np.ndarray,
+    overtravel: float,
+    stopped: np.ndarray | None,
+) -> _Grip:
+    opening = gripper.opening(width)
+    if stopped is None:
+        stop = seen.stop_jaw(X_WG, opening, overtravel)
+    else:
+        stop = Approach(X_WG, stopped, np.full(len(X_WG), ""))
+    reason = stop.reason.astype(object)
+    closed, holding, factor = np.zeros((3, len(X_WG)))
+    left = np.flatnonzero(reason == "")
+    if len(left):
+        mu = friction[left]
+        pads = seen.close_pads(stop.X_WG[left], opening[left], mu)
+        closed[left], holding[left] = pads.width, pads.holding
+        reason[left] = pads.reason
+        cone = np.arctan(np.maximum(mu, 1e-6))
+        alignment = np.maximum(0, 1 - pads.angle / cone)
+        factor[left] = (0.5 + 0.5 * alignment) * (0.5 + 0.5 * pads.coverage)
+    return _Grip(stop.X_WG, closed, holding, factor, stop.space, reason)
+
+
+def _seal(
+    seen: ObjectEvidence,
+    gripper: GripperModel,
+    X_WG: np.ndarray,
+    friction: np.ndarray,
+    overtravel: float,
+) -> _Grip:
+    seal = seen.lay_cup(X_WG)
+    travel = gripper.parameters.bellows_travel
+    shortest = -gripper.config.max_retreat - travel
+    limits = {
+        "cup does not seal": ~seal.closed,
+        "cup does not reach the object": seal.nearest > overtravel + travel,
+        "cup is stopped too early": seal.nearest < shortest,
+        "cup is too oblique": seal.spread > 2 * travel,
+    }
+    reason = np.full(len(X_WG), "", dtype=object)
+    for why, failed in limits.items():
+        reason[failed & (reason == "")] = why
+    left = np.flatnonzero(reason == "")
+    X_WG[left] = moved(X_WG[left], seal.nearest[left])
+    around = seen.cup_space(X_WG[left])
+    space = np.full(len(X_WG), np.inf)
+    space[left], reason[left] = around.space, around.reason
+    z = seal.normal
+    x = X_WG[:, :3, 0]
+    x = x - np.einsum("ni,ni->n", x, z)[:, None] * z
+    x = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
+    R_WC = np.stack([x, np.cross(z, x), z], axis=-1)
+    holds = gripper.cup_holds(R_WC, seen.center - seal.center, friction)
+    evenness = 1 - seal.unevenness / gripper.config.seal_tolerance
+    return _Grip(
+        X_WG,
+        np.zeros(len(X_WG)),
+        np.where(reason == "", holds, 0.0),
+        0.5 + 0.5 * evenness,
+        space,
+        reason,
+    )

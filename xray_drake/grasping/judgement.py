@@ -1,6 +1,7 @@
 """Whether a gripper at a given pose lifts an object: contacts and weight."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,6 +74,29 @@ class JudgedGrasp:
     space: float = np.inf
 
 
+class Lip(NamedTuple):
+    """The lip of a cup, and what it seals on.
+
+    Attributes:
+        radius: m.
+        tolerance: largest distance of the surface under the lip from its
+            plane, m.
+        max_normal_angle: largest deviation of the surface's normals, rad.
+    """
+
+    radius: float
+    tolerance: float
+    max_normal_angle: float
+
+    def loosened(self, factor: float, wider: float = 0.0) -> "Lip":
+        """Returns one wider by so much, m, that seals on rougher surfaces."""
+        return Lip(
+            self.radius + wider,
+            factor * self.tolerance,
+            min(factor * self.max_normal_angle, np.pi),
+        )
+
+
 class GripperModel:
     """What the gripper can do, where its parts are, and how it is judged.
 
@@ -80,6 +104,7 @@ class GripperModel:
         parameters: its limits.
         config: how execution is judged.
         geometry: its frames and boxes.
+        lip: of its cup.
     """
 
     def __init__(
@@ -91,6 +116,11 @@ class GripperModel:
         self.parameters = parameters or GripperParameters()
         self.config = config or JudgementConfig()
         self.geometry = load_gripper_geometry()
+        self.lip = Lip(
+            self.parameters.cup_radius,
+            self.config.seal_tolerance,
+            self.config.seal_angle,
+        )
         fingers = self.geometry.closing != 0
         y = [
             corner[fingers][0, 1]

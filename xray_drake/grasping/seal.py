@@ -1,12 +1,12 @@
 """How the lip of a suction cup meets a surface (Dex-Net 3.0)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from xray_drake.grasping.candidates import SuctionPoints
+from xray_drake.grasping.judgement import Lip
 
 RING_POINTS = 12
 """Points around the suction cup's lip."""
@@ -70,10 +70,7 @@ def fit_seal(
     depth: np.ndarray,
     normals: np.ndarray,
     met: np.ndarray,
-    *,
-    radius: float,
-    tolerance: float,
-    max_normal_angle: float,
+    lip: Lip,
 ) -> Seal:
     """Says how cups meet the surface under the points of their lips.
 
@@ -83,14 +80,12 @@ def fit_seal(
             axis at each of the k points of ``ring_offsets``, m.
         normals: (n, k, 3) its unit normals there, out of the object.
         met: (n,) whether there is a surface under all of them.
-        radius: of the lip, m.
-        tolerance: see :func:`seal_cups`.
-        max_normal_angle: see :func:`seal_cups`.
+        lip: of the cups.
 
     Returns:
         A Seal whose attributes have a leading axis of n, in the poses' frame.
     """
-    offsets = ring_offsets(radius)
+    offsets = ring_offsets(lip.radius)
     n, k = depth.shape
     A = np.column_stack([offsets, np.ones(k)])
     plane = depth[:, :RING_POINTS] @ np.linalg.pinv(A[:RING_POINTS]).T
@@ -104,9 +99,9 @@ def fit_seal(
     cosines = -np.einsum("nki,ni->nk", normals, normal)
     return Seal(
         closed=met
-        & (uneven <= tolerance)
-        & (bulge <= 2 * tolerance)
-        & (cosines.min(axis=1) >= np.cos(max_normal_angle)),
+        & (uneven <= lip.tolerance)
+        & (bulge <= 2 * lip.tolerance)
+        & (cosines.min(axis=1) >= np.cos(lip.max_normal_angle)),
         center=X_C[:, :3, 3] + plane[:, 2:] * X_C[:, :3, 2],
         normal=normal,
         unevenness=uneven,
@@ -115,36 +110,12 @@ def fit_seal(
     )
 
 
-class LaysCups(Protocol):
-    """Lays cups on a surface along their axes."""
-
-    def __call__(
-        self,
-        X_C: np.ndarray,
-        /,
-        *,
-        radius: float,
-        tolerance: float,
-        max_normal_angle: float,
-    ) -> Seal:
-        """Returns how they meet it.
-
-        Args:
-            X_C: (n, 4, 4) poses of cups: origin at the lip, z into the object.
-            radius: of the lip, m.
-            tolerance: m.
-            max_normal_angle: rad.
-        """
-
-
 def find_seals(
-    lay: LaysCups,
+    lay: Callable[[np.ndarray, Lip], Seal],
     X_C: np.ndarray,
     looseness: Sequence[float],
+    lip: Lip,
     *,
-    radius: float,
-    tolerance: float,
-    max_normal_angle: float,
     room: float = 0.004,
 ) -> SuctionPoints:
     """Finds places where a suction cup seals (Mahler et al., Dex-Net 3.0).
@@ -153,13 +124,10 @@ def find_seals(
     meets, several times.
 
     Args:
-        lay: how they are laid.
+        lay: lays cups at (n, 4, 4) poses on the surface along their axes.
         X_C: (n, 4, 4) their poses at first.
         looseness: factors of tolerance and angle at each time; inf keeps all.
-        radius: of the lip, m.
-        tolerance: largest distance of the surface under the lip from its
-            plane, m.
-        max_normal_angle: largest deviation of the surface's normals, rad.
+        lip: of the cup.
         room: the larger cup of ``SuctionPoints.roomy`` has a lip wider by
             this radius, m.
 
@@ -167,20 +135,10 @@ def find_seals(
         The places in the poses' frame, none alike.
     """
     for loose in looseness:
-        seal = lay(
-            X_C,
-            radius=radius,
-            tolerance=loose * tolerance,
-            max_normal_angle=min(loose * max_normal_angle, np.pi),
-        )
+        seal = lay(X_C, lip.loosened(loose))
         keep = seal.closed | np.isinf(loose)
         X_C = cup_frames(seal.center[keep], seal.normal[keep])
-    roomy = lay(
-        X_C,
-        radius=radius + room,
-        tolerance=1.5 * tolerance,
-        max_normal_angle=1.5 * max_normal_angle,
-    ).closed
+    roomy = lay(X_C, lip.loosened(1.5, room)).closed
     return SuctionPoints(
         point=X_C[:, :3, 3],
         approach=X_C[:, :3, 2],

@@ -16,6 +16,7 @@ from pydrake.systems.framework import (
 )
 
 from xray_drake.grasping.evidence.sampling import cast_rays, seal_cups
+from xray_drake.grasping.judgement import Lip
 from xray_drake.grasping.seal import ring_offsets
 from xray_drake.gripper.suction import (
     Cup,
@@ -211,9 +212,7 @@ class SuctionCup(CollectableLeafSystem):
             seal = seal_cups(
                 self._models[name].visual,
                 X_OC[None],
-                radius=self._cup.radius,
-                tolerance=self._tolerance,
-                max_normal_angle=self._angle,
+                Lip(self._cup.radius, self._tolerance, self._angle),
                 reach=_BEHIND,
             )
             nearest = float(seal.nearest[0])

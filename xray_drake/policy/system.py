@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -181,38 +182,9 @@ class SearchPolicy(CollectableLeafSystem):
         self._min_pixels = min_visible_pixels
         self._min_quality = min_grasp_quality
         self._seed = seed
-        self._occupancy = self.DeclareAbstractInputPort(
-            "occupancy", Value(OccupancyDistribution())
-        )
-        self._instances = self.DeclareAbstractInputPort(
-            "instances", Value(InstanceMasks())
-        )
-        self._target_mask = self.DeclareAbstractInputPort(
-            "target_mask", Value(TargetMask())
-        )
-        self._status = self.DeclareAbstractInputPort(
-            "status", Value(GripperStatus())
-        )
-        if isinstance(planner, DepthGrasps):
-            self._seen_depth = self._declare_depth("seen_depth_image", planner)
-        else:
-            self._poses = self.DeclareAbstractInputPort(
-                "body_poses", Value([RigidTransform()])
-            )
         self._foresight = foresight
-        if foresight is not None:
-            self._depth_image = self._declare_depth("depth_image", foresight)
-        sized = foresight or planner
-        if isinstance(sized, Foresight | DepthGrasps):
-            size = sized.width, sized.height
-            self._camera = self.DeclareAbstractInputPort(
-                "camera", Value(PinholeCamera(*size, np.eye(3), np.eye(4)))
-            )
         self._truth = truth
-        if truth:
-            self._true_target = self.DeclareAbstractInputPort(
-                "true_target", Value(TargetMask())
-            )
+        self._declare_inputs()
         self._memory = self.DeclareAbstractState(Value(Decision()))
         self.DeclareAbstractOutputPort(
             "action",
@@ -224,12 +196,30 @@ class SearchPolicy(CollectableLeafSystem):
             period_sec=period, offset_sec=0.0, update=self._update
         )
 
-    def _declare_depth(
-        self, name: str, sized: "Foresight | DepthGrasps"
-    ) -> InputPort:
-        return self.DeclareAbstractInputPort(
-            name, Value(ImageDepth32F(sized.width, sized.height))
-        )
+    def _declare_inputs(self) -> None:
+        planner, foresight = self._planner, self._foresight
+        self._occupancy = self._declare("occupancy", OccupancyDistribution())
+        self._instances = self._declare("instances", InstanceMasks())
+        self._target_mask = self._declare("target_mask", TargetMask())
+        self._status = self._declare("status", GripperStatus())
+        if isinstance(planner, DepthGrasps):
+            image = ImageDepth32F(planner.width, planner.height)
+            self._seen_depth = self._declare("seen_depth_image", image)
+        else:
+            self._poses = self._declare("body_poses", [RigidTransform()])
+        if foresight is not None:
+            image = ImageDepth32F(foresight.width, foresight.height)
+            self._depth_image = self._declare("depth_image", image)
+        sized = foresight or planner
+        if isinstance(sized, Foresight | DepthGrasps):
+            size = sized.width, sized.height
+            camera = PinholeCamera(*size, np.eye(3), np.eye(4))
+            self._camera = self._declare("camera", camera)
+        if self._truth:
+            self._true_target = self._declare("true_target", TargetMask())
+
+    def _declare(self, name: str, example: Any) -> InputPort:
+        return self.DeclareAbstractInputPort(name, Value(example))
 
     def _calc_action(self, context: Context, output: AbstractValue) -> None:
         memory: Decision = context.get_abstract_state(self._memory).get_value()

@@ -12,7 +12,6 @@ from pydrake.geometry import (
     Convex,
     Cylinder,
     GeometryId,
-    GeometrySet,
     QueryObject,
     SceneGraphInspector,
 )
@@ -34,6 +33,10 @@ _POINT_SPACING = 0.025
 
 _ALONG_X = RotationMatrix.MakeYRotation(np.pi / 2)
 """Turns a cylinder's axis from z to x."""
+
+_FRICTION = CoulombFriction(1.0, 1.0)
+_INERTIA = SpatialInertia.SolidSphereWithMass(1.0, 0.01)
+"""Of no account: nothing is simulated."""
 
 _OBJECT_AWAY = RigidTransform([0.0, 0.0, 100.0])
 _TOOL_AWAY = RigidTransform([0.0, 0.0, -100.0])
@@ -114,6 +117,7 @@ class GraspScene:
 
         builder = DiagramBuilder()
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+        self._plant = plant
         (bin_instance,) = Parser(plant).AddModels(
             bin_model or models_dir() / "bin" / "bin.sdf"
         )
@@ -121,94 +125,83 @@ class GraspScene:
             plant.get_body(i) for i in plant.GetBodyIndices(bin_instance)
         ]
         plant.WeldFrames(plant.world_frame(), bin_bodies[0].body_frame())
+        bin_ids = [
+            geometry
+            for body in bin_bodies
+            for geometry in plant.GetCollisionGeometriesForBody(body)
+        ]
+        self._owner: dict[GeometryId, str] = dict.fromkeys(bin_ids, "bin")
+        self.bin_points = _box_points(scene_graph.model_inspector(), bin_ids)
 
-        instance = plant.AddModelInstance("grasp_scene")
-        friction = CoulombFriction(1.0, 1.0)
-        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.01)
-        self._owner: dict[GeometryId, str] = {}
-
-        def add_body(
-            name: str, lower: np.ndarray, upper: np.ndarray, round_: np.ndarray
-        ) -> RigidBody:
-            body = plant.AddRigidBody(name, instance, inertia)
-            for i, (a, b) in enumerate(zip(lower, upper, strict=True)):
-                length, width, height = b - a
-                plant.RegisterCollisionGeometry(
-                    body,
-                    RigidTransform(_ALONG_X, 0.5 * (a + b))
-                    if round_[i]
-                    else RigidTransform(0.5 * (a + b)),
-                    Cylinder(0.5 * width, length)
-                    if round_[i]
-                    else Box(length, width, height),
-                    f"{name}_{i}",
-                    friction,
-                )
-            return body
-
-        closing = gripper.closing
-        box = np.zeros(len(closing), bool)
+        self._instance = plant.AddModelInstance("grasp_scene")
         lower, upper = gripper.swept_jaw(approach_distance)
-
-        def add_part(name: str, side: float) -> RigidBody:
-            part = closing == side
-            return add_body(name, lower[part], upper[part], box[part])
-
-        self._base = add_part("jaw_base", 0.0)
-        self._fingers = {
-            side: add_part(f"finger_{i}", side)
-            for i, side in enumerate((-1.0, 1.0))
-        }
-        self._suction = add_body(
+        self._base, *fingers = (
+            self._add_tool(f"jaw_{side:g}", lower[part], upper[part])
+            for side in (0.0, -1.0, 1.0)
+            for part in [gripper.closing == side]
+        )
+        self._fingers = dict(zip((-1.0, 1.0), fingers, strict=True))
+        self._suction = self._add_tool(
             "suction",
             *gripper.swept_suction(approach_distance, cup_standoff),
             gripper.round,
         )
-
-        self._objects: dict[str, RigidBody] = {}
-        for model in objects:
-            body = plant.AddRigidBody(f"object {model.name}", instance, inertia)
-            piece: Any  # pydrake's stubs know no array types
-            for i, piece in enumerate(model.pieces):
-                geometry = plant.RegisterCollisionGeometry(
-                    body,
-                    RigidTransform(),
-                    Convex(points=piece.T, label=model.name),
-                    f"piece_{i}",
-                    friction,
-                )
-                self._owner[geometry] = model.name
-            self._objects[model.name] = body
+        self._objects = {
+            model.name: self._add_object(model) for model in objects
+        }
         plant.Finalize()
 
-        def geometries(bodies: list[RigidBody]) -> GeometrySet:
-            return GeometrySet(
-                [
-                    geometry
-                    for body in bodies
-                    for geometry in plant.GetCollisionGeometriesForBody(body)
-                ]
-            )
-
-        for body in bin_bodies:
-            for geometry in plant.GetCollisionGeometriesForBody(body):
-                self._owner[geometry] = "bin"
-        self.bin_points = _box_points(
-            scene_graph.model_inspector(),
-            [id for id, name in self._owner.items() if name == "bin"],
-        )
-        tools = [self._base, *self._fingers.values(), self._suction]
-        manager = scene_graph.collision_filter_manager()
+        tools = [self._base, *fingers, self._suction]
         for group in ([*self._objects.values(), *bin_bodies], tools):
-            manager.Apply(
-                CollisionFilterDeclaration().ExcludeWithin(geometries(group))
+            scene_graph.collision_filter_manager().Apply(
+                CollisionFilterDeclaration().ExcludeWithin(
+                    plant.CollectRegisteredGeometries(group)
+                )
             )
-
-        self._plant = plant
         self._diagram = builder.Build()
         self._root_context = self._diagram.CreateDefaultContext()
         self._context = plant.GetMyMutableContextFromRoot(self._root_context)
         self.set_poses({})
+
+    def _add_tool(
+        self,
+        name: str,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        round_: np.ndarray | None = None,
+    ) -> RigidBody:
+        """Adds a body of boxes, or of cylinders along x where ``round_``."""
+        body = self._plant.AddRigidBody(name, self._instance, _INERTIA)
+        for i, (a, b) in enumerate(zip(lower, upper, strict=True)):
+            length, width, height = b - a
+            tube = round_ is not None and round_[i]
+            turn = _ALONG_X if tube else RotationMatrix()
+            self._plant.RegisterCollisionGeometry(
+                body,
+                RigidTransform(turn, 0.5 * (a + b)),
+                Cylinder(0.5 * width, length)
+                if tube
+                else Box(length, width, height),
+                f"{name}_{i}",
+                _FRICTION,
+            )
+        return body
+
+    def _add_object(self, model: ObjectModel) -> RigidBody:
+        body = self._plant.AddRigidBody(
+            f"object {model.name}", self._instance, _INERTIA
+        )
+        piece: Any  # pydrake's stubs know no array types
+        for i, piece in enumerate(model.pieces):
+            geometry = self._plant.RegisterCollisionGeometry(
+                body,
+                RigidTransform(),
+                Convex(points=piece.T, label=model.name),
+                f"piece_{i}",
+                _FRICTION,
+            )
+            self._owner[geometry] = model.name
+        return body
 
     def _place(self, body: RigidBody, X_WB: RigidTransform) -> None:
         self._plant.SetFreeBodyPose(self._context, body, X_WB)

@@ -215,10 +215,8 @@ class SeenEvidence:
         yield self._jaws(failures)
         points, leaky = seals_seen(
             self._surface,
+            self._gripper.lip,
             count=self._config.suction_samples,
-            radius=self._gripper.parameters.cup_radius,
-            tolerance=self._gripper.config.seal_tolerance,
-            max_normal_angle=self._gripper.config.seal_angle,
         )
         failures[GraspKind.SUCTION, "cup does not seal"] += leaky
         cups = cup_poses(
@@ -352,14 +350,7 @@ class SeenEvidence:
         """
         p = self._gripper.parameters
         met = close_pads(
-            self._walls,
-            self._normals,
-            X_WG,
-            opening,
-            pad_width=p.pad_width,
-            pad_height=p.pad_height,
-            tip=self._gripper.geometry.tip_length,
-            compliance=p.pad_compliance,
+            self._walls, self._normals, X_WG, opening, self._gripper
         )
         touched = np.maximum(met.coverage, _LEAST_TOUCH)
         twist = 2 / 3 * np.sqrt(p.pad_width * p.pad_height * touched / np.pi)
@@ -382,13 +373,7 @@ class SeenEvidence:
 
     def lay_cup(self, X_WG: np.ndarray) -> Seal:
         """Lays the lip on the surface that is seen; see the protocol."""
-        return seal_on_depth(
-            self._surface,
-            X_WG,
-            radius=self._gripper.parameters.cup_radius,
-            tolerance=self._gripper.config.seal_tolerance,
-            max_normal_angle=self._gripper.config.seal_angle,
-        )
+        return seal_on_depth(self._surface, X_WG, self._gripper.lip)
 
     def cup_space(self, X_WG: np.ndarray) -> Approach:
         """Compares it with seen free space; see the protocol."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from xray_drake.grasping.candidates import SuctionPoints
 from xray_drake.grasping.evidence.depth_surface import DepthSurface
+from xray_drake.grasping.judgement import Lip
 from xray_drake.grasping.seal import (
     Seal,
     cup_frames,
@@ -21,10 +22,7 @@ _LOOKS = 2
 def seal_on_depth(
     surface: DepthSurface,
     X_WC: np.ndarray,
-    *,
-    radius: float,
-    tolerance: float,
-    max_normal_angle: float,
+    lip: Lip,
 ) -> Seal:
     """Lays cups on the surface that is seen (Dex-Net 3.0, seal test).
 
@@ -38,11 +36,9 @@ def seal_on_depth(
     Args:
         surface: what is seen.
         X_WC: (n, 4, 4) poses of cups: origin at the lip, z into the object.
-        radius: of the lip, m.
-        tolerance: m.
-        max_normal_angle: rad.
+        lip: of the cups.
     """
-    offsets = ring_offsets(radius)
+    offsets = ring_offsets(lip.radius)
     n, k = len(X_WC), len(offsets)
     axis = X_WC[:, None, :3, 2]
     flat = X_WC[:, None, :3, 3] + np.einsum(
@@ -69,19 +65,15 @@ def seal_on_depth(
         depth,
         surface.normals_W[row, column],
         np.asarray(own.all(axis=1)),
-        radius=radius,
-        tolerance=tolerance,
-        max_normal_angle=max_normal_angle,
+        lip,
     )
 
 
 def seals_seen(
     surface: DepthSurface,
+    lip: Lip,
     *,
     count: int,
-    radius: float,
-    tolerance: float,
-    max_normal_angle: float,
 ) -> tuple[SuctionPoints, int]:
     """Finds places where the cup seals; see ``seal.find_seals``.
 
@@ -89,11 +81,8 @@ def seals_seen(
 
     Args:
         surface: what is seen.
+        lip: of the cup.
         count: how many places are tried, about.
-        radius: of the lip, m.
-        tolerance: largest distance of the surface under the lip from its
-            plane, m.
-        max_normal_angle: largest deviation of the surface's normals, rad.
 
     Returns:
         The places in the world, and at how many others it does not seal.
@@ -107,8 +96,6 @@ def seals_seen(
         partial(seal_on_depth, surface),
         cup_frames(point, np.broadcast_to([0.0, 0.0, -1.0], point.shape)),
         (10.0, 4.0, 1.0),
-        radius=radius,
-        tolerance=tolerance,
-        max_normal_angle=max_normal_angle,
+        lip,
     )
     return found, len(point) - len(found)

@@ -156,10 +156,8 @@ class ModelEvidence:
             points, leaky = sample_suction(
                 mesh,
                 rng,
+                self.gripper.lip,
                 count=config.suction_samples,
-                radius=parameters.cup_radius,
-                tolerance=config.judgement.seal_tolerance,
-                max_normal_angle=config.judgement.seal_angle,
             )
             self._samples[name] = pairs, points
             self._unfit[name] = Failures(
@@ -458,14 +456,8 @@ class PlacedModel:
 
     def lay_cup(self, X_WG: np.ndarray) -> Seal:
         """Projects the lip on the model; see the protocol."""
-        gripper, R = self._gripper, self._X_WO[:3, :3]
-        seal = seal_cups(
-            self._model.visual,
-            self.X_OW @ X_WG,
-            radius=gripper.parameters.cup_radius,
-            tolerance=gripper.config.seal_tolerance,
-            max_normal_angle=gripper.config.seal_angle,
-        )
+        mesh, R = self._model.visual, self._X_WO[:3, :3]
+        seal = seal_cups(mesh, self.X_OW @ X_WG, self._gripper.lip)
         return replace(
             seal,
             center=seal.center @ R.T + self._X_WO[:3, 3],

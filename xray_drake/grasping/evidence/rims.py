@@ -13,6 +13,7 @@ import numpy as np
 
 from xray_drake.grasping.candidates import AntipodalPairs, Rows
 from xray_drake.grasping.evidence.depth_surface import DepthSurface
+from xray_drake.grasping.judgement import GripperModel
 
 _WINDOW = 4
 """Half the size of the window about a rim's pixel, pixels."""
@@ -275,11 +276,7 @@ def close_pads(
     normals_W: np.ndarray,
     X_WG: np.ndarray,
     opening: np.ndarray,
-    *,
-    pad_width: float,
-    pad_height: float,
-    tip: float,
-    compliance: float,
+    gripper: GripperModel,
 ) -> Contact:
     """Closes pads on walls until each touches.
 
@@ -288,12 +285,11 @@ def close_pads(
         normals_W: (m, 3) their unit normals, out of the object.
         X_WG: (n, 4, 4) poses of the jaw.
         opening: (n,) distances of the pads before, m.
-        pad_width: m.
-        pad_height: m.
-        tip: how far the pads reach beyond the jaw's origin, m.
-        compliance: what is this near to the first contact touches too, m.
+        gripper: whose pads they are.
     """
-    n = len(X_WG)
+    n, tip = len(X_WG), gripper.geometry.tip_length
+    pad_width = gripper.parameters.pad_width
+    pad_height = gripper.parameters.pad_height
     R = X_WG[:, :3, :3].astype(np.float32)
     p = points_W.astype(np.float32)
     start = np.einsum("nij,ni->nj", X_WG[:, :3, :3], X_WG[:, :3, 3])
@@ -324,7 +320,7 @@ def close_pads(
         met = np.isfinite(first)
         found &= met
         first = np.where(met, first, 0.0)
-        touch = reach >= (first - compliance)[:, None]
+        touch = reach >= (first - gripper.parameters.pad_compliance)[:, None]
         width += first
         count = np.maximum(touch.sum(axis=1), 1)
         normal = (touch @ normals_W) / count[:, None]

@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 
 from xray_drake.grasping.candidates import AntipodalPairs, SuctionPoints
+from xray_drake.grasping.judgement import Lip
 from xray_drake.grasping.seal import (
     Seal,
     cup_frames,
@@ -161,10 +162,8 @@ def sample_antipodal(
 def seal_cups(
     mesh: trimesh.Trimesh,
     X_OC: np.ndarray,
+    lip: Lip,
     *,
-    radius: float,
-    tolerance: float,
-    max_normal_angle: float,
     reach: float = 0.02,
 ) -> Seal:
     """Projects cups on a surface along their axes (Dex-Net 3.0, seal test).
@@ -178,15 +177,13 @@ def seal_cups(
     Args:
         mesh: surface in O, m.
         X_OC: (n, 4, 4) poses of cups: origin at the lip, z into the object.
-        radius: of the lip, m.
-        tolerance: m.
-        max_normal_angle: rad.
+        lip: of the cups.
         reach: rays start this far behind the lip, m.
 
     Returns:
         A Seal whose attributes have a leading axis of n.
     """
-    offsets = ring_offsets(radius)
+    offsets = ring_offsets(lip.radius)
     n, k = len(X_OC), len(offsets)
     p = np.zeros((k, 4))
     p[:, :2], p[:, 2], p[:, 3] = offsets, -reach, 1.0
@@ -206,31 +203,24 @@ def seal_cups(
         depth,
         mesh.face_normals[hit],
         np.asarray(found),
-        radius=radius,
-        tolerance=tolerance,
-        max_normal_angle=max_normal_angle,
+        lip,
     )
 
 
 def sample_suction(
     mesh: trimesh.Trimesh,
     rng: np.random.Generator,
+    lip: Lip,
     *,
     count: int,
-    radius: float,
-    tolerance: float = 0.001,
-    max_normal_angle: float = np.deg2rad(15.0),
 ) -> tuple[SuctionPoints, int]:
     """Samples places where a suction cup seals; see ``seal.find_seals``.
 
     Args:
         mesh: closed surface in O, m.
         rng: random generator.
+        lip: of the cup.
         count: surface points drawn.
-        radius: of the lip, m.
-        tolerance: largest distance of the surface under the lip from its
-            plane, m.
-        max_normal_angle: largest deviation of the surface's normals, rad.
 
     Returns:
         The places in O, and at how many others it does not seal.
@@ -240,9 +230,7 @@ def sample_suction(
         partial(seal_cups, mesh, reach=0.01),
         cup_frames(points, -mesh.face_normals[faces]),
         (np.inf, 1.0),
-        radius=radius,
-        tolerance=tolerance,
-        max_normal_angle=max_normal_angle,
+        lip,
     )
     found = replace(found, cell=np.round(found.point / CELL))
     return found, len(points) - len(found)
