@@ -87,7 +87,7 @@ class OccupancyDistribution(Message):
             maximum is 1, or all is 0; a network's answer is as it comes.
         support_threshold: values above it are support. Whoever makes the
             distribution sets it; whoever uses it asks for its support.
-        method: how it came about, for the record: ``"exact"`` and the like.
+        method: how it came about, for the record: ``"geometric"`` and the like.
     """
 
     data: np.ndarray = field(

@@ -20,7 +20,7 @@ def record(
     num_actions: int = 3,
     end: str = "success",
     *,
-    occupancy: str = "exact",
+    occupancy: str = "geometric",
     visible: float = 0.0,
     cover: int = 400,
     target: str = "box_2to1",
@@ -80,7 +80,7 @@ def failure(policy: str, seed: int, reason: str = "no rest") -> dict[str, Any]:
         "horizon": 10,
         "policy": policy,
         "target_first": True,
-        "occupancy": "exact",
+        "occupancy": "geometric",
         "seed": seed,
         "target": "box_2to1",
         "end": "error",
@@ -97,11 +97,11 @@ def many_records(heaps: int = 40) -> list[dict[str, Any]]:
         visible = round(max(float(rng.uniform(-0.4, 0.9)), 0.0), 4)
         cover = int(rng.integers(150, 3000))
         for policy, occupancy, chance, steps in (
-            ("random", "exact", 0.45, 7.0),
-            ("largest", "exact", 0.65, 5.5),
-            ("xray", "exact", 0.8, 4.5),
+            ("random", "geometric", 0.45, 7.0),
+            ("largest", "geometric", 0.65, 5.5),
+            ("xray", "geometric", 0.8, 4.5),
             ("xray", "learned", 0.85, 4.0),
-            ("oracle", "exact", 0.9, 3.5),
+            ("oracle", "geometric", 0.9, 3.5),
         ):
             won = rng.random() < chance
             count = int(np.clip(rng.poisson(steps), 1, 10)) if won else 10

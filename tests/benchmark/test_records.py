@@ -132,17 +132,17 @@ def change_policy(scenario: Scenario) -> None:
     scenario.policy.min_visible_pixels = 99
 
 
-def change_exact(scenario: Scenario) -> None:
-    scenario.perception.exact.rotations = 16
+def change_geometric(scenario: Scenario) -> None:
+    scenario.perception.geometric.rotations = 16
 
 
-@pytest.mark.parametrize("change", [change_policy, change_exact])
+@pytest.mark.parametrize("change", [change_policy, change_geometric])
 def test_one_variant_has_one_setting(
     change: Callable[[Scenario], None], tmp_path: Path
 ) -> None:
     one = write_folder(tmp_path / "one", [record("xray", 1)])
     two = write_folder(tmp_path / "two", [record("xray", 2)], demo(change))
-    with pytest.raises(ValueError, match=r"both hold xray \(exact\)") as error:
+    with pytest.raises(ValueError, match=r"both hold xray \(geom") as error:
         collect([one, two])
     assert len(str(error.value).splitlines()) == 1
 
@@ -152,7 +152,7 @@ def test_settings_that_a_variant_does_not_use_may_differ(
 ) -> None:
     def change(scenario: Scenario) -> None:
         scenario.perception.weights = "other.safetensors"
-        scenario.perception.exact.rotations = 16
+        scenario.perception.geometric.rotations = 16
 
     one = write_folder(
         tmp_path / "one", [record("xray", 1), record("random", 1)]
@@ -165,7 +165,7 @@ def test_settings_that_a_variant_does_not_use_may_differ(
 
 
 def change_floor(scenario: Scenario) -> None:
-    scenario.perception.exact.floor = [-0.2, 0.2, -0.2, 0.2]
+    scenario.perception.geometric.floor = [-0.2, 0.2, -0.2, 0.2]
 
 
 def test_every_variant_is_told_the_floor(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_changes_are_told(tmp_path: Path) -> None:
         # A rollout's own.
         scenario.seed = 3
         scenario.policy.name = "random"
-        scenario.perception.occupancy = "exact"
+        scenario.perception.occupancy = "geometric"
         # The scenario's.
         scenario.horizon = 5
         scenario.scene.heap.sleep = False

@@ -69,7 +69,7 @@ def test_table_2_by_hand() -> None:
             *("67 %", "4, 5, 7"),
         ],
         [
-            *("xray (exact)", "100.0 %", "43.9 % to 100.0 %", "3"),
+            *("xray (geometric)", "100.0 %", "43.9 % to 100.0 %", "3"),
             *("2.5, 3, 5", "82 %", "3, 5, 6"),
         ],
     ]
@@ -171,7 +171,7 @@ def test_what_the_markdown_says() -> None:
     assert "- seed 4, largest: heap after heap failed" in text
     found = {rows[0][0]: rows for rows in tables(text)}
     assert found["difference"][2][:3] == [
-        "xray (exact) − largest",
+        "xray (geometric) − largest",
         "+100.0 (+100.0 to +100.0)",
         "+100.0 (+100.0 to +100.0)",
     ]
@@ -230,14 +230,16 @@ def rows_of(report: Report) -> dict[tuple[str, ...], dict[str, str]]:
 
 def test_the_csv_holds_the_figures() -> None:
     rows = rows_of(of(SMALL))
-    rate = rows["all", "xray (exact)", "", "success_rate"]
+    rate = rows["all", "xray (geometric)", "", "success_rate"]
     assert (rate["value"], rate["heaps"]) == ("1.0", "3")
     assert float(rate["low"]) == pytest.approx(0.4385, abs=1e-4)
     assert rows["hidden", "largest", "", "end_horizon"]["value"] == "1"
     assert rows["all", "largest", "", "end_error"]["value"] == "1"
-    assert rows["all", "xray (exact)", "", "actions_median"]["value"] == "3.0"
+    assert (
+        rows["all", "xray (geometric)", "", "actions_median"]["value"] == "3.0"
+    )
     assert rows["all", "largest", "", "actions_median"]["value"] == ""
-    difference = rows["all", "xray (exact)", "largest", "success_rate"]
+    difference = rows["all", "xray (geometric)", "largest", "success_rate"]
     assert (difference["value"], difference["heaps"]) == ("1.0", "3")
     paper = rows["paper", "random", "", "success_rate"]
     assert paper["value"] == "0.42"

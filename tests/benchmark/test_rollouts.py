@@ -23,7 +23,7 @@ from xray_drake.search import rollout
 from xray_drake.station import objects
 from xray_drake.station.scenario import Scenario, dump_scenario
 
-VARIANTS = variants(("largest", "random"), ("exact",))
+VARIANTS = variants(("largest", "random"), ("geometric",))
 SEEDS = (5, 6)
 
 
@@ -223,7 +223,7 @@ def test_all_variants_search_one_heap(
 ) -> None:
     scenario = tiny()
     scenario.perception.occupancy = "learned"
-    wanted = variants(("random", "xray"), ("exact", "posterior"))
+    wanted = variants(("random", "xray"), ("geometric", "posterior"))
     records = list(run_job(Job(dump_scenario(scenario), 5, wanted)))
     assert [Variant.of(item) for item in records] == list(wanted)
     assert len({id(heap) for heap, _ in searched}) == 1
@@ -233,7 +233,7 @@ def test_all_variants_search_one_heap(
     ]
     assert used == [
         ("random", "learned", 5),
-        ("xray", "exact", 5),
+        ("xray", "geometric", 5),
         ("xray", "posterior", 5),
     ]
 
@@ -241,7 +241,7 @@ def test_all_variants_search_one_heap(
 def test_a_variant_may_leave_the_target_for_later(
     searched: list[tuple[object, Scenario]],
 ) -> None:
-    wanted = variants(("xray",), ("exact",), target_first=False)
+    wanted = variants(("xray",), ("geometric",), target_first=False)
     (item,) = run_job(Job(dump_scenario(tiny()), 5, wanted))
     assert item["target_first"] is False
     assert searched[0][1].policy.target_first is False
@@ -293,7 +293,7 @@ def test_a_worker_that_dies_costs_one_rollout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rollouts, "run_job", dies_over_random)
-    wanted = variants(("largest", "random", "xray"), ("exact",))
+    wanted = variants(("largest", "random", "xray"), ("geometric",))
     records = run(tmp_path, variants=wanted)
     assert keys(records) == keys(read_rollouts(tmp_path))
     assert keys(records) == [

@@ -6,24 +6,32 @@ from xray_drake.benchmark.variants import Variant, variants
 
 def test_each_inference_is_a_variant_of_what_looks_at_it() -> None:
     assert variants(
-        ["random", "xray", "largest", "memory"], ["exact", "learned"]
+        ["random", "xray", "largest", "memory"], ["geometric", "learned"]
     ) == (
         Variant("random"),
-        Variant("xray", "exact"),
+        Variant("xray", "geometric"),
         Variant("xray", "learned"),
         Variant("largest"),
-        Variant("memory", "exact"),
+        Variant("memory", "geometric"),
         Variant("memory", "learned"),
     )
 
 
+def test_the_old_name_of_an_inference_is_the_new_one() -> None:
+    found = variants(["xray"], ["exact", "expected", "geometric"])
+    assert [v.occupancy for v in found] == ["geometric", "geometric_label"]
+    assert Variant.of(record("xray", 0, occupancy="exact")) == found[0]
+
+
 def test_what_is_named_twice_runs_once() -> None:
-    assert variants(["xray", "xray"], ["exact"]) == (Variant("xray", "exact"),)
+    assert variants(["xray", "xray"], ["geometric"]) == (
+        Variant("xray", "geometric"),
+    )
 
 
 @pytest.mark.parametrize("policy", ["random", "largest", "oracle"])
 def test_blind_policies_are_the_same_under_every_inference(policy: str) -> None:
-    one = Variant.of(record(policy, 0, occupancy="exact"))
+    one = Variant.of(record(policy, 0, occupancy="geometric"))
     other = Variant.of(record(policy, 0, occupancy="learned"))
     assert one == other == Variant(policy)
 
@@ -40,10 +48,10 @@ def test_the_variant_of_a_record() -> None:
 
 def test_labels() -> None:
     assert Variant("random").label == "random"
-    assert Variant("xray", "exact").label == "xray (exact)"
+    assert Variant("xray", "geometric").label == "xray (geometric)"
     assert (
-        Variant("xray", "exact", False).label
-        == "xray (exact, target not first)"
+        Variant("xray", "geometric", False).label
+        == "xray (geometric, target not first)"
     )
     assert Variant("random", "", False).label == "random (target not first)"
 
@@ -52,11 +60,11 @@ def test_the_papers_policies_come_first_and_the_oracle_last() -> None:
     wanted = [
         Variant("random"),
         Variant("largest"),
-        Variant("xray", "exact"),
-        Variant("xray", "exact", False),
+        Variant("xray", "geometric"),
+        Variant("xray", "geometric", False),
         Variant("xray", "learned"),
-        Variant("lookahead", "exact"),
-        Variant("memory", "exact"),
+        Variant("lookahead", "geometric"),
+        Variant("memory", "geometric"),
         Variant("oracle"),
     ]
     assert sorted(wanted[::-1], key=lambda v: v.order) == wanted

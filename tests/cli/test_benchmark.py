@@ -60,7 +60,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 ASKED = (
     *("--heaps", 2, "--seed", 30),
-    *("--policies", "largest, xray", "--occupancy", "exact"),
+    *("--policies", "largest, xray", "--occupancy", "geometric"),
 )
 
 
@@ -109,7 +109,7 @@ def test_options_reach_the_rollouts(
     assert asked["variants"] == (
         Variant("random", "", False),
         Variant("xray", "posterior", False),
-        Variant("xray", "exact", False),
+        Variant("xray", "geometric", False),
     )
     assert list(asked["seeds"]) == [20, 21, 22]
     assert asked["workers"] == 5
@@ -156,7 +156,7 @@ def test_meshes_are_imported_once_before_the_rollouts(
     [
         (("--policies", "xray,greedy"), "greedy"),
         (("--policies", ","), "--policies"),
-        (("--occupancy", "exact,guess"), "guess"),
+        (("--occupancy", "geometric,guess"), "guess"),
         (("--policies", "random", "--occupancy", "guess"), "guess"),
         (("--scenario", "dmeo"), "dmeo"),
         (("--target", "brick"), "brick"),

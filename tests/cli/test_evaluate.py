@@ -1,9 +1,8 @@
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from xray_drake.dataset.shards import ShardReader, read_shard, write_shard
 from xray_drake.files import sole_writer
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
+from xray_drake.occupancy import inference
 from xray_drake.occupancy.learned.weights import WeightsError
 from xray_drake.provenance import Provenance, describe, read_runs
 
@@ -60,8 +60,8 @@ def folder(tmp_path: Path) -> Path:
     return write_dataset(tmp_path, manifest, _sample)
 
 
-class _Networks(ModuleType):
-    """Stands for the module of learned inference; remembers what it saw.
+class _Networks:
+    """Stands for what reads networks; remembers what it saw.
 
     A network named "modal" answers the modal mask; "weak", half of it for the
     sample of seed 2; any, nothing without scaling, and a quarter of it for
@@ -69,7 +69,6 @@ class _Networks(ModuleType):
     """
 
     def __init__(self) -> None:
-        super().__init__("xray_drake.occupancy.learned.inference")
         self.loaded: list[tuple[str, tuple[float, ...]]] = []
         self.dtypes: set[str] = set()
         self.depths: list[np.ndarray] = []
@@ -83,6 +82,7 @@ class _Networks(ModuleType):
         scaling: bool = True,
         output: str = "occupancy",
         dtype: str = "float32",
+        floor: object = None,
     ) -> Any:
         if path.stem == "gone":
             raise WeightsError(f"{path} holds no weights")
@@ -106,9 +106,9 @@ class _Networks(ModuleType):
 
 @pytest.fixture
 def networks(monkeypatch: pytest.MonkeyPatch) -> _Networks:
-    module = _Networks()
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    return module
+    networks = _Networks()
+    monkeypatch.setattr(inference, "load_inference", networks.load_inference)
+    return networks
 
 
 def test_a_manifest_lies_beside_the_results(
@@ -118,7 +118,7 @@ def test_a_manifest_lies_beside_the_results(
     weights.write_bytes(b"weights")
     out = tmp_path / "out"
     out.mkdir()
-    options = ("--weights", weights, "--no-exact", "--seed", 4)
+    options = ("--weights", weights, "--no-geometric", "--seed", 4)
     result = _run(folder, *options, "--json", out / "a.json")
     assert result.exit_code == 0
     assert sorted(p.name for p in out.iterdir()) == [
@@ -186,7 +186,7 @@ def test_a_shard_that_does_not_belong_is_refused(
 def test_a_network_with_and_without_scaling(
     folder: Path, networks: _Networks
 ) -> None:
-    result = _run(folder, "--weights", "modal", "--unscaled", "--no-exact")
+    result = _run(folder, "--weights", "modal", "--unscaled", "--no-geometric")
     assert result.exit_code == 0
     rows = _rows(result.stdout)
     assert rows["all, 4", "modal"][:2] == ["100.0%", "1.000"]
@@ -203,7 +203,7 @@ def test_what_a_network_computes_in(
         networks.dtypes.clear()
         path = tmp_path / "out.json"
         result = _run(
-            *(folder, "--weights", "modal", "--no-exact", "--json", path),
+            *(folder, "--weights", "modal", "--no-geometric", "--json", path),
             *options,
         )
         assert result.exit_code == 0
@@ -212,7 +212,7 @@ def test_what_a_network_computes_in(
 
 
 def test_a_networks_posterior(folder: Path, networks: _Networks) -> None:
-    result = _run(folder, "--weights", "modal", "--posterior", "--no-exact")
+    result = _run(folder, "--weights", "modal", "--posterior", "--no-geometric")
     assert result.exit_code == 0
     rows = _rows(result.stdout)
     assert rows["all, 4", "modal"][1] == "1.000"
@@ -242,7 +242,7 @@ def test_exact_inference_and_a_network(
     result = _run(folder, "--weights", "nets/modal.safetensors", "--json", out)
     assert result.exit_code == 0, result.output
     rows = _rows(result.stdout)
-    assert list(rows)[:2] == [("all, 4", "modal"), ("all, 4", "exact")]
+    assert list(rows)[:2] == [("all, 4", "modal"), ("all, 4", "geometric")]
     assert ("lid, 2", "modal") in rows
     assert rows["all, 4", "modal"][:2] == ["100.0%", "1.000"]
     assert f"wrote {out}" in result.stdout
@@ -253,27 +253,27 @@ def test_exact_inference_and_a_network(
         parse_constant=lambda name: pytest.fail(f"{name} is not JSON"),
     )
     assert told["dataset"] == str(folder)
-    assert list(told["predictors"]) == ["modal", "exact"]
-    images = told["predictors"]["exact"]["images"]
+    assert list(told["predictors"]) == ["modal", "geometric"]
+    images = told["predictors"]["geometric"]["images"]
     assert [image["heap_seed"] for image in images] == [0, 1, 2, 3]
     modal = told["predictors"]["modal"]
     assert modal["overall"]["target_mass"]["value"] == 1.0
 
 
 def test_the_label_guessed_without_a_network(folder: Path) -> None:
-    result = _run(folder, "--expected", "--no-exact")
+    result = _run(folder, "--geometric-label", "--no-geometric")
     assert result.exit_code == 0, result.output
     rows = _rows(result.stdout)
-    assert {name for _, name in rows} == {"expected"}
-    both = _rows(_run(folder, "--expected", "--images", 1).stdout)
-    assert {name for _, name in both} == {"expected", "exact"}
+    assert {name for _, name in rows} == {"geometric_label"}
+    both = _rows(_run(folder, "--geometric-label", "--images", 1).stdout)
+    assert {name for _, name in both} == {"geometric_label", "geometric"}
 
 
 def test_what_inference_is_told_wrongly(
     folder: Path, networks: _Networks
 ) -> None:
     wrong = ["--height-offset", 0.01, "--focal-error", 0.02, "--noise"]
-    arguments = (folder, "--weights", "modal", "--no-exact", "--images", 1)
+    arguments = (folder, "--weights", "modal", "--no-geometric", "--images", 1)
     assert _run(*arguments).exit_code == 0
     result = _run(*arguments, *wrong)
     assert result.exit_code == 0
@@ -304,7 +304,7 @@ def test_a_figure_of_the_worst(
     monkeypatch.setattr(figures, "prediction_figure", remember)
     out = tmp_path / "worst.png"
     result = _run(
-        *(folder, "--weights", "weak", "--weights", "modal", "--no-exact"),
+        *(folder, "--weights", "weak", "--weights", "modal", "--no-geometric"),
         *("--figure", out, "--worst", "--examples", 1),
     )
     assert result.exit_code == 0, result.output
@@ -314,7 +314,7 @@ def test_a_figure_of_the_worst(
     assert example.ious == {"weak": 0.0, "modal": 1.0}
     assert example.predictions["weak"].data.max() == 0.5
     drawn.clear()
-    _run(folder, "--weights", "weak", "--no-exact", "--figure", out)
+    _run(folder, "--weights", "weak", "--no-geometric", "--figure", out)
     assert [e.sample.heap_seed for e in drawn] == [0, 1, 2, 3]
 
 
@@ -325,7 +325,7 @@ def test_images_are_drawn_by_the_seed(
         networks.depths.clear()
         assert (
             _run(
-                *(folder, "--weights", "modal", "--no-exact"),
+                *(folder, "--weights", "modal", "--no-geometric"),
                 *("--images", 2, "--seed", seed),
             ).exit_code
             == 0
@@ -339,7 +339,7 @@ def test_images_are_drawn_by_the_seed(
 
 def test_only_some_targets(folder: Path, networks: _Networks) -> None:
     result = _run(
-        *(folder, "--weights", "modal", "--no-exact", "--target", "lid"),
+        *(folder, "--weights", "modal", "--no-geometric", "--target", "lid"),
     )
     assert ("all, 2", "modal") in _rows(result.stdout)
     assert {size[2] for _, size in networks.loaded} == {0.01}
@@ -348,18 +348,18 @@ def test_only_some_targets(folder: Path, networks: _Networks) -> None:
 def test_networks_of_one_name_go_by_their_paths(
     folder: Path, networks: _Networks
 ) -> None:
-    paths = ("a/net.safetensors", "b/net.safetensors", "exact.safetensors")
+    paths = ("a/net.safetensors", "b/net.safetensors", "geometric.safetensors")
     options = [word for path in paths for word in ("--weights", path)]
     result = _run(folder, *options, "--images", 1)
     names = [name for _, name in _rows(result.stdout)]
-    assert names[:4] == [*paths, "exact"]
+    assert names[:4] == [*paths, "geometric"]
 
 
 def test_a_dataset_that_is_being_made(
     folder: Path, networks: _Networks
 ) -> None:
     (folder / "train-00001.h5").unlink()
-    arguments = (folder, "--weights", "modal", "--no-exact")
+    arguments = (folder, "--weights", "modal", "--no-geometric")
     result = _run(*arguments)
     assert result.exit_code == 2
     assert "train-00001.h5 is missing" in result.stderr
@@ -370,7 +370,7 @@ def test_a_dataset_that_is_being_made(
 @pytest.mark.parametrize(
     ("options", "line", "code"),
     [
-        (["--no-exact"], "nothing to evaluate: give --weights", 2),
+        (["--no-geometric"], "nothing to evaluate: give --weights", 2),
         (["--weights", "a", "--weights", "a"], "given twice", 2),
         (["--weights", "gone"], "gone holds no weights", 2),
         (["--split", "tests"], "no split is called 'tests'", 2),

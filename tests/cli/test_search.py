@@ -92,7 +92,11 @@ def complaint(*arguments: object) -> str:
         ("--seed", -1, ["seed", "-1"]),
         ("--execution", "magic", ["gripper.execution", "magic"]),
         ("--grasps", "magic", ["gripper.grasps", "magic"]),
-        ("--occupancy", "magic", ["perception.occupancy", "magic", "exact"]),
+        (
+            "--occupancy",
+            "magic",
+            ["perception.occupancy", "magic"],
+        ),
         ("--detector", "magic", ["perception.detector", "magic"]),
         ("--segmenter", "magic", ["perception.segmenter", "magic"]),
         ("--segmenter", "depth", ["segmenter is depth", "grasps: depth"]),

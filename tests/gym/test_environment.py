@@ -62,7 +62,7 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 def scenario() -> Scenario:
     scenario = Scenario(name="tiny", seed=99)  # reset's seed replaces it
     scenario.scene.num_objects = 4
-    scenario.perception.occupancy = "exact"
+    scenario.perception.occupancy = "geometric"
     # An agent does as it likes; this is to be the policy's scenario.
     scenario.policy.target_first = False
     return scenario

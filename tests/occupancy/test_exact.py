@@ -177,7 +177,7 @@ def test_blank_scene_and_hidden_target_is_empty(any_inference: tuple) -> None:
     depth, _ = render(CAMERAS["nominal"], [])
     result = inference.infer(depth, NOTHING, CAMERAS["nominal"])
     assert not result.data.any()
-    assert result.method == "exact"
+    assert result.method == "geometric"
 
 
 def test_too_small_a_hiding_place_is_empty(any_inference: tuple) -> None:

@@ -80,7 +80,7 @@ def test_output_is_what_the_inference_says(system: OccupancyInference) -> None:
         depth, mask, overhead_camera()
     )
     np.testing.assert_array_equal(output.data, expected.data)
-    assert output.method == "exact"
+    assert output.method == "geometric"
     assert output.support_size() > 100
 
 

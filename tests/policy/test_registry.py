@@ -169,7 +169,7 @@ def test_a_registered_policy_works_wherever_the_package_has_one(
     tiny_scenario.scene.num_objects = 2
     (worked,) = run_rollouts(
         tiny_scenario,
-        variants=[Variant("mine", "exact", False)],
+        variants=[Variant("mine", "geometric", False)],
         seeds=[10_000],
         folder=tmp_path,
         workers=1,
@@ -201,7 +201,14 @@ def test_an_installed_policy_works_from_the_command_line(
             *(sys.executable, "-c", program, "benchmark", "--out", out),
             *("--policies", "smallest,shelf:smallest", "--no-target-first"),
             *("--heaps", "2", "--seed", "10000", "--workers", "2"),
-            *("--num-objects", "2", "--occupancy", "exact", "--horizon", "2"),
+            *(
+                "--num-objects",
+                "2",
+                "--occupancy",
+                "geometric",
+                "--horizon",
+                "2",
+            ),
         ],
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,

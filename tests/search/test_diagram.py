@@ -165,7 +165,7 @@ def test_what_the_boxes_see(
     assert set(instances.names) == {"box_2to1", "book", "block", "plank"}
     occupancy = output("occupancy_inference.occupancy")
     assert isinstance(occupancy, OccupancyDistribution)
-    assert occupancy.method == "exact"
+    assert occupancy.method == "geometric"
     assert occupancy.data.max() == 1.0
     # What is seen of the target is where it can be, and more of it is not
     # far: the target is 34 px long.
@@ -218,9 +218,9 @@ def test_a_bad_scenario_is_found_out_before_the_drop(
 @pytest.mark.parametrize(
     ("target", "occupancy", "poses", "kind"),
     [
-        ("cube", "exact", "resting", RestingInference),
-        ("cube", "exact", "flat", ExactInference),
-        ("box_2to1", "expected", "flat", ExpectedLabel),
+        ("cube", "geometric", "resting", RestingInference),
+        ("cube", "geometric", "flat", ExactInference),
+        ("box_2to1", "geometric_label", "flat", ExpectedLabel),
     ],
 )
 def test_the_inference_is_the_scenarios(
@@ -228,7 +228,7 @@ def test_the_inference_is_the_scenarios(
 ) -> None:
     scenario = Scenario()
     scenario.perception.occupancy = occupancy
-    scenario.perception.exact.poses = poses
+    scenario.perception.geometric.poses = poses
     scenario.perception.weights = "nowhere.safetensors"
     check_scenario(scenario)
     assert isinstance(boxes._inference(scenario, target_model(target)), kind)

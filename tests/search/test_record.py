@@ -68,7 +68,7 @@ def record(*actions: ActionRecord, end: str = "horizon") -> SearchRecord:
     return SearchRecord(
         horizon=10,
         policy="xray",
-        occupancy="exact",
+        occupancy="geometric",
         execution="quasi_static",
         seed=5,
         target="lid",
@@ -93,7 +93,7 @@ def test_keys_of_the_record() -> None:
 def test_values_of_the_record() -> None:
     data = record(jaw_action(), jaw_action(2, Outcome.SLIPPED)).to_dict()
     assert (data["success"], data["num_actions"]) == (False, 2)
-    assert (data["policy"], data["occupancy"]) == ("xray", "exact")
+    assert (data["policy"], data["occupancy"]) == ("xray", "geometric")
     assert (data["execution"], data["seed"]) == ("quasi_static", 5)
     assert (data["target"], data["objects"]) == ("lid", ["book", "cup"])
     assert (data["horizon"], data["end"]) == (10, "horizon")

@@ -90,7 +90,7 @@ def test_the_target_is_dug_out(found: SearchRecord, tiny_heap: Heap) -> None:
     assert found.success
     assert found.target == TARGET
     assert found.objects == [model.name for model in tiny_heap.objects]
-    assert (found.policy, found.occupancy) == ("xray", "exact")
+    assert (found.policy, found.occupancy) == ("xray", "geometric")
     assert 2 <= found.num_actions <= found.horizon == 10
     last = found.actions[-1]
     assert (last.object, last.is_target) == (TARGET, True)

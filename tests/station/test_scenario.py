@@ -127,7 +127,7 @@ def test_settings_deep_inside() -> None:
         scene: {heap: {offset_sigma: 0.03, max_attempts: 2}}
         camera: {width: 320, X_PB: {translation: [0, 0, 0.9]}}
         perception:
-          exact: {rotations: 16}
+          geometric: {rotations: 16}
           detector: hsv
           noise: true
           hsv: {hue_tolerance: 20}
@@ -144,7 +144,7 @@ def test_settings_deep_inside() -> None:
     assert scenario.scene.heap.max_attempts == 2
     assert scenario.camera.width == 320
     assert scenario.camera.height == 384
-    assert scenario.perception.exact.rotations == 16
+    assert scenario.perception.geometric.rotations == 16
     assert (scenario.perception.detector, scenario.perception.noise) == (
         "hsv",
         True,
@@ -194,14 +194,14 @@ demo | top level | str
 3 | top level | int
 scene: {target: spoon} | scene.target | 'spoon' | box_1to1 | lid | domino
     | flute | cube | mug
-perception: {exact: {poses: upright}} | perception.exact.poses | 'upright'
+perception: {geometric: {poses: upright}} | geometric.poses | 'upright'
     | flat, resting
 policy: {name: greedy} | policy.name | xray, largest, random
 perception: {detector: eye} | perception.detector | 'eye' | hsv
 perception: {segmenter: eye} | perception.segmenter | depth
-perception: {occupancy: eye} | perception.occupancy | exact
-perception: {occupancy: expected, exact: {poses: resting}}
-    | perception.exact.poses is resting | occupancy: exact
+perception: {occupancy: eye} | perception.occupancy | geometric
+perception: {occupancy: geometric_label, geometric: {poses: resting}}
+    | perception.geometric.poses is resting | occupancy: geometric
 gripper: {grasps: eye} | gripper.grasps | models, depth
 gripper: {execution: eye} | gripper.execution | quasi_static
 gripper: {execution: eye} | gripper.execution | contact
@@ -217,8 +217,8 @@ scene: {num_objects: 0} | scene.num_objects is 0: it must be from 1
 scene: {num_objects: -2} | scene.num_objects | -2
 horizon: 0 | horizon is 0: it must be from 1
 seed: -1 | seed is -1: it must be from 0
-perception: {occupancy: expected, exact: {rotations: 24}}
-    | perception.exact.rotations is 24 | multiple
+perception: {occupancy: geometric_label, geometric: {rotations: 24}}
+    | perception.geometric.rotations is 24 | multiple
 plant_config: {time_step: -1} | plant_config.time_step
 camera: {name: ''} | camera.name
 camera: {width: 0} | camera.width | 0
@@ -252,13 +252,14 @@ scene: {contact: {tumble_time: 0}} | scene.contact.tumble_time
 camera_sampling: {enable: true} | mean camera_sampling.enabled?
 gripper: {parameters: {friction: -1}} | parameters.friction is -1
 policy: {min_grasp_quality: .nan} | min_grasp_quality is nan
-perception: {exact: {accept_iou: 5}} | exact.accept_iou is 5
-perception: {exact: {floor: [1, 0, 0]}} | must be 4 numbers, not 3
-perception: {exact: {floor: [1, 0, 0, 1]}} | each low below its hi
-perception: {exact: {rotations: 0}} | exact.rotations is 0
+perception: {geometric: {accept_iou: 5}} | geometric.accept_iou is 5
+perception: {geometric: {floor: [1, 0, 0]}} | must be 4 numbers, not 3
+perception: {geometric: {floor: [1, 0, 0, 1]}} | each low below its hi
+perception: {exact: {cell: 0}} | perception.geometric.cell is 0
+perception: {geometric: {rotations: 0}} | geometric.rotations is 0
 perception: {hsv: {hue: .nan}} | perception.hsv.hue is nan
 perception: {depth_noise: {sigma: -1}} | depth_noise.sigma is -1
-perception: {exact: {label: {cost: 0}}} | exact.label.cost is 0
+perception: {geometric: {label: {cost: 0}}} | geometric.label.cost is 0
 simulator_config: {accuracy: -1} | simulator_config.accuracy is -1
 simulator_config: {accuracy: .inf} | simulator_config.accuracy is
 simulator_config: {integration_scheme: foo}
@@ -390,10 +391,10 @@ def test_a_network_is_the_default_and_needs_images_of_its_sizes() -> None:
     scenario = load_scenario("demo")
     assert scenario.perception.occupancy == "learned"
     scenario.camera.width = 500
-    with pytest.raises(ScenarioError, match=r"multiples of 32.*exact"):
+    with pytest.raises(ScenarioError, match=r"multiples of 32.*geom"):
         check_scenario(scenario)
     check_scenario(scenario, searched=False)  # heaps can be dropped
-    scenario.perception.occupancy = "exact"
+    scenario.perception.occupancy = "geometric"
     check_scenario(scenario)
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xray_drake.occupancy.learned import inference as learned
-from xray_drake.training.predictors import learned_predictor
+from xray_drake.occupancy import inference as factory
+from xray_drake.training.predictors import predictor
 
 
 class Inference:
@@ -27,8 +27,8 @@ def test_a_dataset_of_many_sizes_does_not_keep_a_network_for_each(
         prepared.append(weakref.ref(inference))
         return inference
 
-    monkeypatch.setattr(learned, "load_inference", load)
-    predict: Any = learned_predictor(Path("weights"))
+    monkeypatch.setattr(factory, "load_inference", load)
+    predict: Any = predictor("learned", weights=Path("weights"))
     for size in [*range(100), 99]:
         answer = predict(
             SimpleNamespace(

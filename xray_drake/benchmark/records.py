@@ -242,8 +242,8 @@ def _settings(scenario: Scenario, variant: Variant) -> str:
         # Memory and networks are told the floor.
         perception = replace(
             perception,
-            exact=replace(
-                defaults.perception.exact, floor=perception.exact.floor
+            geometric=replace(
+                defaults.perception.geometric, floor=perception.geometric.floor
             ),
         )
     if variant.occupancy in ("", *WITHOUT_NETWORK):

@@ -21,6 +21,7 @@ from xray_drake.benchmark.statistics import (
     success_within,
 )
 from xray_drake.benchmark.variants import Variant
+from xray_drake.choices import current_occupancy
 from xray_drake.drawing.rollout_figures import actions_figure, success_figure
 from xray_drake.files import write_whole_file
 
@@ -287,7 +288,8 @@ def _inference(report: Report) -> list[str]:
     used: dict[str, list[Record]] = {}
     for record in report.counted:
         if record.get("actions"):
-            used.setdefault(record["occupancy"], []).append(record)
+            name = current_occupancy(record["occupancy"])
+            used.setdefault(name, []).append(record)
     rows = []
     for occupancy, records in sorted(used.items()):
         some, whole = containment(records)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from xray_drake.choices import current_occupancy
 from xray_drake.station.scenario import Scenario
 
 BLIND = ("random", "largest", "oracle")
@@ -32,7 +33,7 @@ class Variant:
     @classmethod
     def make(cls, policy: str, occupancy: str, target_first: bool) -> "Variant":
         """Returns a variant; the inference is left out where none is used."""
-        used = "" if policy in BLIND else occupancy
+        used = "" if policy in BLIND else current_occupancy(occupancy)
         return cls(policy, used, target_first)
 
     @classmethod

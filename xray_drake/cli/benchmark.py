@@ -18,6 +18,7 @@ from xray_drake.benchmark.records import (
 from xray_drake.benchmark.report import success_table
 from xray_drake.benchmark.rollouts import begun, run_rollouts
 from xray_drake.benchmark.variants import Variant, variants
+from xray_drake.choices import current_occupancy
 from xray_drake.cli.configure import configure
 from xray_drake.cli.options import names_in
 from xray_drake.cli.progress import counting_bar
@@ -112,7 +113,10 @@ def _plan(
 ) -> tuple[Scenario, tuple[Variant, ...]]:
     """Checks every policy with every inference before the first heap."""
     own = configure(name, {})
-    occupancies = occupancies or [own.perception.occupancy]
+    occupancies = [
+        current_occupancy(each)
+        for each in occupancies or [own.perception.occupancy]
+    ]
     shared = {**overrides, "perception.occupancy": occupancies[0]}
     first = shared.pop("policy.target_first", own.policy.target_first)
     compared = variants(policies, occupancies, target_first=first)

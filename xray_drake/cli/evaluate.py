@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from xray_drake.choices import DTYPES, WITHOUT_NETWORK
+from xray_drake.choices import DTYPES, WITHOUT_NETWORK, current_occupancy
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.options import (
     Dataset,
@@ -41,13 +41,17 @@ app = typer.Typer(
 _Weights = Annotated[
     list[Path] | None, typer.Option(help="Of a network; repeatable.")
 ]
-_Exact = Annotated[
-    bool, typer.Option("--exact/--no-exact", help="Exact inference, too.")
-]
-_Expected = Annotated[
+_Geometric = Annotated[
     bool,
     typer.Option(
-        "--expected", help="The label guessed without a network, too."
+        "--geometric/--no-geometric", help="Geometric inference, too."
+    ),
+]
+_GeometricLabel = Annotated[
+    bool,
+    typer.Option(
+        "--geometric-label",
+        help="The label guessed without a network, too.",
     ),
 ]
 _Unscaled = Annotated[
@@ -83,7 +87,7 @@ _Worst = Annotated[
     typer.Option(
         "--worst",
         help="In the figure: those of the lowest IoU by the first --weights, "
-        "or else by exact inference.",
+        "or else by geometric inference.",
     ),
 ]
 _Noise = Annotated[
@@ -101,13 +105,21 @@ _FocalError = Annotated[
 ]
 
 
+_OldGeometric = Annotated[
+    bool | None, typer.Option("--exact/--no-exact", hidden=True)
+]
+_OldGeometricLabel = Annotated[bool, typer.Option("--expected", hidden=True)]
+
+
 @app.command()
 @errors_as_lines()
 def occupancy(
     dataset: Dataset,
     weights: _Weights = None,
-    exact: _Exact = True,
-    expected: _Expected = False,
+    geometric: _Geometric = True,
+    geometric_label: _GeometricLabel = False,
+    exact: _OldGeometric = None,
+    expected: _OldGeometricLabel = False,
     unscaled: _Unscaled = False,
     posterior: _Posterior = False,
     dtype: Dtype = None,
@@ -131,10 +143,18 @@ def occupancy(
     """
     _check_outputs(json, figure)
     files, used = weights or [], dtype or DTYPES[0]
+    if exact is not None:
+        current_occupancy("exact")
+        geometric = exact
+    if expected:
+        current_occupancy("expected")
+    asked = {
+        "geometric_label": geometric_label or expected,
+        "geometric": geometric,
+    }
     predictors = _predictors(
         files,
-        exact=exact,
-        expected=expected,
+        without_network=[name for name, also in asked.items() if also],
         unscaled=unscaled,
         posterior=posterior,
         dtype=used,
@@ -287,8 +307,7 @@ def _check_outputs(json: Path | None, figure: Path | None) -> None:
 def _predictors(
     weights: Sequence[Path],
     *,
-    exact: bool,
-    expected: bool,
+    without_network: Sequence[str],
     unscaled: bool,
     posterior: bool,
     dtype: str,
@@ -298,15 +317,11 @@ def _predictors(
     Raises:
         ValueError: there would be none, or the same file is given twice.
     """
-    from xray_drake.training.predictors import (
-        exact_predictor,
-        expected_predictor,
-        learned_predictor,
-    )
+    from xray_drake.training.predictors import predictor
 
-    if not weights and not exact and not expected:
+    if not weights and not without_network:
         raise ValueError(
-            "nothing to evaluate: give --weights, or leave out --no-exact"
+            "nothing to evaluate: give --weights, or leave out --no-geometric"
         )
     if len(set(weights)) < len(weights):
         raise ValueError("the same --weights are given twice")
@@ -315,19 +330,19 @@ def _predictors(
         path.stem if stems.count(path.stem) == 1 else str(path): path
         for path in weights
     }
-    kinds: list[tuple[str, dict[str, Any]]] = [("", {})]
+    kinds: list[tuple[str, str, bool]] = [("", "learned", True)]
     if unscaled:
-        kinds.append((", unscaled", {"scaling": False}))
+        kinds.append((", unscaled", "learned", False))
     if posterior:
-        kinds.append((", posterior", {"output": "posterior"}))
+        kinds.append((", posterior", "posterior", True))
     found = {
-        f"{name}{suffix}": learned_predictor(path, dtype=dtype, **settings)
-        for suffix, settings in kinds
+        f"{name}{suffix}": predictor(
+            kind, weights=path, dtype=dtype, scaling=scaling
+        )
+        for suffix, kind, scaling in kinds
         for name, path in named.items()
     }
-    if expected:
-        found["expected"] = expected_predictor()
-    return found | ({"exact": exact_predictor()} if exact else {})
+    return found | {name: predictor(name) for name in without_network}
 
 
 def _draw(total: int, images: int | None, seed: int) -> list[int]:

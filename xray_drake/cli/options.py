@@ -19,6 +19,7 @@ from xray_drake.choices import (
     SEGMENTERS,
     TALL_TARGETS,
     TARGET_NAMES,
+    current_occupancy,
 )
 from xray_drake.policy.registry import POLICIES
 from xray_drake.splits import SPLITS
@@ -197,6 +198,10 @@ def overrides(**options: Any) -> dict[str, Any]:
         for name, value in options.items()
         if value is not None and value != []
     }
+    if "perception.occupancy" in said:
+        said["perception.occupancy"] = current_occupancy(
+            said["perception.occupancy"]
+        )
     if "scene.meshes" in said:
         said["scene.meshes"] = [str(path) for path in said["scene.meshes"]]
     if "scene.num_objects" in said:

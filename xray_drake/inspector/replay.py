@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context
 
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
 from xray_drake.benchmark.variants import Variant
+from xray_drake.choices import current_occupancy
 from xray_drake.inspector.snapshot import Snapshot, SnapshotRecorder
 from xray_drake.provenance import versions
 from xray_drake.scene.heap import Heap
@@ -245,7 +246,7 @@ def _scenario_of(record: Record, path: Path) -> Scenario:
     )
     variant = Variant(
         record["policy"],
-        record["occupancy"],
+        current_occupancy(record["occupancy"]),
         record.get("target_first", True),
     )
     return replace(

@@ -7,9 +7,7 @@ from pydrake.systems.framework import OutputPort
 
 from xray_drake.grasping.evidence.depth import DepthEvidence
 from xray_drake.grasping.planner import GraspPlanner
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.inference import exact_model
-from xray_drake.occupancy.learned.inference import load_inference
+from xray_drake.occupancy.inference import make_inference
 from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
 from xray_drake.perception.systems import (
     DepthInstanceSegmenter,
@@ -223,23 +221,17 @@ def _memory(inside: SearchParts) -> TargetMemory:
     perception = inside.scenario.perception
     return TargetMemory(
         size_in_any_pose(inside.heap.target),
-        perception.exact.floor,
+        perception.geometric.floor,
         names_last=perception.segmenter != "depth",
     )
 
 
 def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
     perception = scenario.perception
-    if perception.occupancy == "exact":
-        return exact_model(target, perception.exact)
-    if perception.occupancy == "expected":
-        return ExpectedLabel(target, perception.exact)
-    return load_inference(
-        weights_path(perception),
-        target_size=target.extents,
-        output="posterior"
-        if perception.occupancy == "posterior"
-        else "occupancy",
+    return make_inference(
+        perception.occupancy,
+        target,
+        geometric=perception.geometric,
+        weights=weights_path(perception),
         dtype=perception.dtype,
-        floor=perception.exact.floor,
     )

@@ -25,6 +25,7 @@ from xray_drake.choices import (
     TALL_TARGETS,
     TARGET_NAMES,
     WITHOUT_NETWORK,
+    current_occupancy,
 )
 from xray_drake.configuration import (
     SEEDS,
@@ -144,8 +145,9 @@ class PerceptionConfig:
     # The depth image is as a real sensor gives it.
     noise: bool = False
     # Infers the occupancy distribution: "learned" by a network; "posterior",
-    # by a network too, but as probable as heaps have taught it; "exact", by all
-    # poses that explain the image; or "expected", by a guess of the label.
+    # by a network too, but as probable as heaps have taught it; "geometric", by
+    # counting all poses that explain the image; or "geometric_label", by what
+    # those poses say of the paper's label.
     occupancy: str = choice("learned", OCCUPANCIES)
     # File of a network's weights, or a folder of networks of one box each; by
     # default the one that travels with the package.
@@ -153,8 +155,10 @@ class PerceptionConfig:
     # What the network computes in: "float32", or "bfloat16", which is faster
     # where the processor has instructions for it, but not the same search.
     dtype: str = choice(DTYPES[0], DTYPES)
-    # Settings of "exact" and "expected".
-    exact: ExactInferenceConfig = field(default_factory=ExactInferenceConfig)
+    # Settings of "geometric" and "geometric_label".
+    geometric: ExactInferenceConfig = field(
+        default_factory=ExactInferenceConfig
+    )
     # Settings of "hsv".
     hsv: HsvTargetConfig = field(default_factory=HsvTargetConfig)
     # Settings of "depth".
@@ -308,7 +312,7 @@ def parse_scenario(
     Raises:
         ScenarioError: as :func:`load_scenario`.
     """
-    tree = read_tree(text, source)
+    tree = _renamed(read_tree(text, source))
     check_tree(tree, Scenario, source, DRAKE_RULES)
     with _one_line(f"{source}: ", Exception):
         scenario = _from_yaml(yaml_dump(tree))
@@ -316,6 +320,18 @@ def parse_scenario(
         scenario = with_paths(scenario, folder)
     check_scenario(scenario, source, searched=searched)
     return scenario
+
+
+def _renamed(tree: dict[str, Any]) -> dict[str, Any]:
+    """Gives what version 0.1 called otherwise its name of today, in place."""
+    perception = tree.get("perception")
+    if isinstance(perception, dict):
+        name = perception.get("occupancy")
+        if isinstance(name, str):
+            perception["occupancy"] = current_occupancy(name)
+        if "exact" in perception and "geometric" not in perception:
+            perception["geometric"] = perception.pop("exact")
+    return tree
 
 
 def dump_scenario(scenario: Scenario) -> str:
@@ -359,16 +375,16 @@ def check_scenario(
     """
     check(scenario, source, DRAKE_RULES)
     _check_unused(scenario, source)
-    perception, exact = scenario.perception, scenario.perception.exact
+    perception = scenario.perception
     for low, high in _IN_ORDER:
         least, most = (attrgetter(path)(scenario) for path in (low, high))
         if least > most:
             raise ScenarioError(
                 f"{source}: {low} is {least}: it must be at most {most}, {high}"
             )
-    if perception.occupancy == "expected":
+    if perception.occupancy == "geometric_label":
         with _one_line(f"{source}: perception.", ValueError):
-            check_expected(exact)
+            check_expected(perception.geometric)
     for wrong, said in (
         (
             scenario.scene.packaged_share > 0 and not scenario.scene.packaged,
@@ -382,10 +398,11 @@ def check_scenario(
             "depth",
         ),
         (
-            perception.occupancy == "expected" and exact.poses != "flat",
-            f"perception.exact.poses is {exact.poses}, but "
-            "perception.occupancy: expected takes the target to lie flat; "
-            "choose poses: flat, or occupancy: exact",
+            perception.occupancy == "geometric_label"
+            and perception.geometric.poses != "flat",
+            f"perception.geometric.poses is {perception.geometric.poses}, but "
+            "perception.occupancy: geometric_label takes the target to lie "
+            "flat; choose poses: flat, or occupancy: geometric",
         ),
         (not scenario.camera.name, "camera.name is empty"),
     ):
@@ -462,7 +479,7 @@ def _check_weights(
         raise ScenarioError(
             f"{source}: camera: images of {camera.width} x {camera.height}, "
             f"but a network takes multiples of {SIZE_STEP}: choose such a "
-            "size, or perception.occupancy: exact"
+            "size, or perception.occupancy: geometric"
         )
     path = weights_path(perception)
     if not path.is_dir():

@@ -97,7 +97,7 @@ def make_tiny_scenario() -> Scenario:
     """Returns the tiny heap's search, with exact inference."""
     scenario = Scenario(name="tiny", seed=7)
     scenario.scene.num_objects = 4
-    scenario.perception.occupancy = "exact"
+    scenario.perception.occupancy = "geometric"
     # Or it might draw the target from under the book at once.
     scenario.policy.target_first = False
     return scenario

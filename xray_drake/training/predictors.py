@@ -1,87 +1,67 @@
-"""The inferences of the package, as an evaluation asks them."""
+"""The package's inferences, as an evaluation asks them."""
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xray_drake.choices import DTYPES, TALL_TARGETS
+from xray_drake.choices import DTYPES, TALL_TARGETS, WITHOUT_NETWORK
 from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.geometric.config import ExactInferenceConfig
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.inference import exact_model
+from xray_drake.occupancy.inference import make_inference
 from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
 
 if TYPE_CHECKING:
-    from xray_drake.occupancy.learned.inference import Output
     from xray_drake.occupancy.system import OccupancyModel
 
 
-def exact_predictor() -> Predictor:
-    """Returns exact inference; each target is prepared once.
-
-    A tall target may rest on any face; the others lie flat.
-
-    A sample of a target that is none of the package's is a ``ValueError``.
-    """
-
-    @cache
-    def inference(name: str) -> "OccupancyModel":
-        poses = "resting" if name in TALL_TARGETS else "flat"
-        return exact_model(target_model(name), ExactInferenceConfig(poses))
-
-    return lambda sample: _infer(inference(sample.target_name), sample)
-
-
-def expected_predictor() -> Predictor:
-    """Returns guesses of the label without a network; the target lies flat.
-
-    A sample of a target that is none of the package's is a ``ValueError``.
-    """
-
-    @cache
-    def inference(name: str) -> "OccupancyModel":
-        return ExpectedLabel(target_model(name))
-
-    return lambda sample: _infer(inference(sample.target_name), sample)
-
-
-def learned_predictor(
-    path: Path,
+def predictor(
+    name: str,
     *,
-    scaling: bool = True,
-    output: "Output" = "occupancy",
+    weights: Path | None = None,
     dtype: str = DTYPES[0],
+    scaling: bool = True,
 ) -> Predictor:
-    """Returns a network's inference; the last sizes of targets stay prepared.
+    """Returns an inference that prepares itself for each sample's target.
+
+    The last 16 targets stay prepared. A tall target may rest on any face for
+    "geometric" inference; all others lie flat.
 
     Args:
-        path: of its weights; read when the first sample is asked about.
-        scaling: see
-            :class:`~xray_drake.occupancy.learned.inference.LearnedInference`.
-        output: see there.
+        name: see :func:`~xray_drake.occupancy.inference.make_inference`, and
+            so do the other three; a network is read with the first sample.
+        weights: see there.
         dtype: see there.
+        scaling: see there.
+
+    Returns:
+        Sample to distribution; without a network, a sample of a target that is
+        none of the package's is a ``ValueError``.
     """
-    # The networks are not needed where only exact inference is asked.
-    from xray_drake.occupancy.learned.inference import load_inference
 
     @lru_cache(maxsize=16)
-    def inference(size: tuple[float, ...]) -> "OccupancyModel":
-        return load_inference(
-            path,
-            target_size=np.array(size),
-            scaling=scaling,
-            output=output,
+    def prepared(target: str | tuple[float, ...]) -> "OccupancyModel":
+        tall = name == "geometric" and target in TALL_TARGETS
+        return make_inference(
+            name,
+            target_model(target)
+            if isinstance(target, str)
+            else np.array(target),
+            geometric=ExactInferenceConfig("resting" if tall else "flat"),
+            weights=weights,
             dtype=dtype,
+            scaling=scaling,
         )
 
-    return lambda sample: _infer(
-        inference(tuple(sample.target_size.tolist())), sample
-    )
+    def predict(sample: Sample) -> OccupancyDistribution:
+        model = prepared(
+            sample.target_name
+            if name in WITHOUT_NETWORK
+            else tuple(sample.target_size.tolist())
+        )
+        return model.infer(sample.depth, sample.target_modal, sample.camera)
 
-
-def _infer(model: "OccupancyModel", sample: Sample) -> OccupancyDistribution:
-    return model.infer(sample.depth, sample.target_modal, sample.camera)
+    return predict

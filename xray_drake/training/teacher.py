@@ -3,12 +3,13 @@
 The paper's label is made by who knows the true pose, and depends on where the
 pose is within the grid of candidates, 8 pixels and 22.5° apart. A network that
 is trained on such labels sees, of images that are alike, now one and now
-another. ``ExpectedLabel`` knows which of them an image may have, and what is
-the best answer to all: so a network that learns its answers learns the same
-from fewer images, and need not search for poses afterwards.
+another. ``geometric_label`` inference knows which of them an image may have,
+and what is the best answer to all: so a network that learns its answers learns
+the same from fewer images, and need not search for poses afterwards.
 """
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -20,9 +21,12 @@ from xray_drake.occupancy.geometric.config import (
     ExactInferenceConfig,
     ExpectedLabelConfig,
 )
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.inference import make_inference
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
+
+if TYPE_CHECKING:
+    from xray_drake.occupancy.system import OccupancyModel
 
 _SLACK = 0.05
 """The network's answers are off by about this; see ``ExpectedLabelConfig``."""
@@ -57,17 +61,19 @@ def expected_occupancy(sample: Sample) -> np.ndarray:
 
 
 @cache
-def _named_inference(name: str) -> ExpectedLabel:
+def _named_inference(name: str) -> "OccupancyModel":
     return _inference(target_model(name))
 
 
-def _virtual_inference(sample: Sample) -> ExpectedLabel:
+def _virtual_inference(sample: Sample) -> "OccupancyModel":
     """Each virtual target is another."""
     target = virtual_target(sample)
     mesh = trimesh.Trimesh(target.vertices).convex_hull
     return _inference(object_from_pieces(target.name, [mesh], density=_DENSITY))
 
 
-def _inference(target: ObjectModel) -> ExpectedLabel:
+def _inference(target: ObjectModel) -> "OccupancyModel":
     label = ExpectedLabelConfig(slack=_SLACK)
-    return ExpectedLabel(target, ExactInferenceConfig(label=label))
+    return make_inference(
+        "geometric_label", target, geometric=ExactInferenceConfig(label=label)
+    )

@@ -78,7 +78,7 @@ class ExactInferenceConfig:
     # A surface lower than this (and than half the target's thickness) is the
     # floor, m: where it shows, the target is not.
     floor_height: float = number(0.002, "[0, 0.1]")
-    # Numbers of "expected", which guesses the paper's label.
+    # Numbers of "geometric_label", which guesses the paper's label.
     label: ExpectedLabelConfig = field(default_factory=ExpectedLabelConfig)
 
 
@@ -92,10 +92,10 @@ def check_expected(config: ExactInferenceConfig) -> None:
         ValueError: a number is out of range, or the label's orientations are
             not among those that are searched.
     """
-    check(config, "exact")
+    check(config, "geometric")
     turns = LabelConfig().rotations
     if config.rotations % turns:
         raise ValueError(
-            f"exact.rotations is {config.rotations}: the label has {turns} "
-            'orientations, so "expected" needs a multiple of that'
+            f"geometric.rotations is {config.rotations}: the label has {turns} "
+            'orientations, so "geometric_label" needs a multiple of that'
         )

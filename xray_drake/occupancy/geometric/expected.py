@@ -47,7 +47,7 @@ class ExpectedLabel(ExactInference):
     poses, with a lower peak, stands for each.
     """
 
-    method = "expected"
+    method = "geometric_label"
 
     def __init__(
         self, target: ObjectModel, config: ExactInferenceConfig | None = None

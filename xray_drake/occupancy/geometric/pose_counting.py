@@ -23,7 +23,7 @@ class PoseCounting(ABC):
         method: what distributions are said to be made by.
     """
 
-    method = "exact"
+    method = "geometric"
 
     def __init__(
         self,
