@@ -13,10 +13,10 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.occupancy.brute_force import render
+from tests.occupancy.inferences import label_inference
 from tests.occupancy.scenes import CAMERAS, lying, occluders
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 
@@ -39,7 +39,7 @@ def test_hidden_in_a_heap(benchmark: BenchmarkFixture, name: str) -> None:
     camera = CAMERAS["tilted"]
     depth, _ = render(camera, occluders(rng, 14, np.zeros(2), 0.045, 0.017))
     nothing = np.zeros(camera.shape, bool)
-    inference = ExactInference(target_model(name))
+    inference = GeometricInference(target_model(name))
     result = benchmark(inference.infer, depth, nothing, camera)
     assert result.support_size() > 0
 
@@ -49,7 +49,7 @@ def test_hidden_in_a_full_bin(benchmark: BenchmarkFixture, name: str) -> None:
     camera = CAMERAS["nominal"]
     depth = camera.plane_depth(0.05).astype(np.float32)
     nothing = np.zeros(camera.shape, bool)
-    inference = ExactInference(target_model(name))
+    inference = GeometricInference(target_model(name))
     result = benchmark(inference.infer, depth, nothing, camera)
     assert result.support_size() > 90_000
 
@@ -80,17 +80,17 @@ def test_partly_seen(
     benchmark: BenchmarkFixture, name: str, share: str
 ) -> None:
     target, depth, mask, camera = partly_seen(name, share)
-    inference = ExactInference(target)
+    inference = GeometricInference(target)
     result = benchmark(inference.infer, depth, mask, camera)
     assert result.support_size() >= np.count_nonzero(mask)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("share", ["much", "fragment"])
-def test_expected_label(
+def test_label_of_poses(
     benchmark: BenchmarkFixture, name: str, share: str
 ) -> None:
     target, depth, mask, camera = partly_seen(name, share)
-    inference = ExpectedLabel(target)
+    inference = label_inference(target)
     result = benchmark(inference.infer, depth, mask, camera)
     assert result.data.max() > 0.8

@@ -14,7 +14,7 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial import ConvexHull
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.geometric.flat import ExactInferenceConfig
+from xray_drake.occupancy.geometric.config import GeometricConfig
 
 
 class Caster:
@@ -67,7 +67,7 @@ class BruteForce:
     def __init__(
         self,
         mesh: trimesh.Trimesh,
-        config: ExactInferenceConfig,
+        config: GeometricConfig,
         depth: np.ndarray,
         mask: np.ndarray,
         camera: PinholeCamera,
@@ -269,7 +269,7 @@ class BruteForce:
 
 
 def choose(
-    config: ExactInferenceConfig,
+    config: GeometricConfig,
     size: int,
     area: np.ndarray,
     cover: np.ndarray,
@@ -295,7 +295,7 @@ class RestingBruteForce:
         self,
         meshes: list[trimesh.Trimesh],
         probabilities: list[float],
-        config: ExactInferenceConfig,
+        config: GeometricConfig,
         depth: np.ndarray,
         mask: np.ndarray,
         camera: PinholeCamera,

@@ -38,16 +38,6 @@ def _inputs(batch: int = 2, shape: tuple[int, int] = (64, 96)) -> list[Tensor]:
     ]
 
 
-@pytest.mark.parametrize("shape", [(32, 32), (64, 96), (96, 32)])
-@pytest.mark.parametrize("batch", [1, 3])
-@torch.no_grad()
-def test_two_values_for_every_pixel(batch: int, shape: tuple[int, int]) -> None:
-    answer = _network().eval()(*_inputs(batch, shape))
-    assert answer.shape == (batch, len(OUTPUTS), *shape)
-    assert answer.dtype == torch.float32
-    assert torch.isfinite(answer).all()
-
-
 @torch.no_grad()
 def test_the_shipped_network_is_small_and_begins_with_empty_images() -> None:
     network = CompactNet().eval()
@@ -166,18 +156,6 @@ def test_the_size_matters_once_it_is_learned() -> None:
 
 
 @torch.no_grad()
-def test_images_of_a_batch_do_not_mix_in_use() -> None:
-    network = _network().eval()
-    inputs = _inputs(3)
-    together = network(*inputs)
-    for i in range(3):
-        alone = network(*(each[i : i + 1] for each in inputs))
-        torch.testing.assert_close(
-            together[i : i + 1], alone, rtol=1e-4, atol=1e-5
-        )
-
-
-@torch.no_grad()
 def test_the_mean_alone_tells_a_pixel_of_what_is_far_away() -> None:
     network = _network().eval()
     fine, coarse, size = _inputs(1, (32, 1024))
@@ -235,22 +213,6 @@ def test_each_answer_learns_from_its_own_loss() -> None:
             assert own.all(dim=1).tolist() == [
                 i == index for i in range(len(OUTPUTS))
             ]
-
-
-@torch.no_grad()
-def test_a_seed_decides_the_weights_and_they_the_answer() -> None:
-    inputs = _inputs()
-    first, again, other = (_network(seed).eval() for seed in (0, 0, 1))
-    answer = first(*inputs)
-    assert torch.equal(answer, first(*inputs))
-    assert torch.equal(answer, again(*inputs))
-    assert not torch.equal(answer, other(*inputs))
-
-
-def test_a_network_is_built_by_its_name_and_options() -> None:
-    network = build_network("compact", {"widths": [8, 8, 8, 8]})
-    assert isinstance(network, CompactNet)
-    assert network.stem.out_channels == 8
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,11 @@ import pytest
 import trimesh
 
 from tests.occupancy.brute_force import render
+from tests.occupancy.inferences import inference_of, label_inference
 from tests.occupancy.scenes import lying, make_camera
 from tests.occupancy.test_learned import Mirror, card
 from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
 from xray_drake.grasping.planner import GraspPlanner
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.flat import ExactInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.occupancy.learned.inference import LearnedInference
 from xray_drake.perception.depth_segmenter import segment_depth
@@ -28,12 +27,12 @@ DEPTH, LABEL = render(CAMERA, [BLOCK])
 Asked = Callable[[np.ndarray], np.ndarray]
 
 
-def exact(depth: np.ndarray) -> np.ndarray:
-    return ExactInference(TARGET).infer(depth, HIDDEN, CAMERA).data
+def geometric(depth: np.ndarray) -> np.ndarray:
+    return inference_of("box_2to1").infer(depth, HIDDEN, CAMERA).data
 
 
-def expected(depth: np.ndarray) -> np.ndarray:
-    return ExpectedLabel(TARGET).infer(depth, HIDDEN, CAMERA).data
+def geometric_label(depth: np.ndarray) -> np.ndarray:
+    return label_inference(TARGET).infer(depth, HIDDEN, CAMERA).data
 
 
 def learned(depth: np.ndarray) -> np.ndarray:
@@ -63,7 +62,8 @@ def removal(depth: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "ask", [exact, expected, learned, segmenter, grasps, label, removal]
+    "ask",
+    [geometric, geometric_label, learned, segmenter, grasps, label, removal],
 )
 def test_millimetres_are_refused_and_far_readings_are_none(ask: Asked) -> None:
     for wrong in (

@@ -1,4 +1,4 @@
-"""Exact inference against brute force, and laws it must keep."""
+"""Geometric inference of flat targets against brute force, and the laws."""
 
 import numpy as np
 import pytest
@@ -8,19 +8,18 @@ from hypothesis import strategies as st
 
 from tests.masks import iou
 from tests.occupancy.brute_force import BruteForce, render
+from tests.occupancy.inferences import TALL, inference_of, label_inference
 from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.occupancy.geometric.flat import (
-    ExactInference,
-    ExactInferenceConfig,
-)
+from xray_drake.occupancy.geometric.config import GeometricConfig
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 
 NOTHING = np.zeros((384, 512), dtype=bool)
 # Fewer orientations than usual, for the sake of the brute force.
-COARSE = ExactInferenceConfig(rotations=16, seen_step=0.012)
+COARSE = GeometricConfig(rotations=16, seen_step=0.012)
 
 
 def wedge() -> ObjectModel:
@@ -41,7 +40,7 @@ def amodal_mask(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:
 
 
 def lattice_poses(
-    inference: ExactInference, center: np.ndarray, reach: float
+    inference: GeometricInference, center: np.ndarray, reach: float
 ) -> np.ndarray:
     """Returns the (n, 3) candidates of a hidden target around a place."""
     cell = inference.config.cell
@@ -50,14 +49,14 @@ def lattice_poses(
     x, y, angle = np.meshgrid(
         (steps + middle[0]) * cell,
         (steps + middle[1]) * cell,
-        inference.angles,
+        inference.poses.angles,
         indexing="ij",
     )
     return np.stack([x, y, angle], axis=-1).reshape(-1, 3)
 
 
 def pixel_poses(
-    inference: ExactInference,
+    inference: GeometricInference,
     mask: np.ndarray,
     camera: PinholeCamera,
     extents: np.ndarray,
@@ -75,7 +74,7 @@ def pixel_poses(
     return np.concatenate(
         [
             np.column_stack([xy, np.full(len(xy), angle)])
-            for angle in inference.seen_angles
+            for angle in inference.poses.seen_angles
         ]
     )
 
@@ -110,7 +109,7 @@ def test_hidden_support_agrees_with_brute_force(
     aside = center - [0.14 * np.sign(center[0]), 0.0]
     low.apply_translation([*aside, 0.35 * target.extents[2]])
     depth, _ = render(camera, [plate, low, *others])
-    inference = ExactInference(target, COARSE)
+    inference = GeometricInference(target, COARSE)
     result = inference.infer(depth, NOTHING, camera)
 
     poses = lattice_poses(inference, center, 0.045)
@@ -145,7 +144,7 @@ def test_seen_support_agrees_with_brute_force(
     mask = label == 0
     seen = np.count_nonzero(mask) / np.count_nonzero(amodal_mask(mesh, camera))
     assert 0.25 < seen < 0.7
-    inference = ExactInference(target, COARSE)
+    inference = GeometricInference(target, COARSE)
     result = inference.infer(depth, mask, camera)
 
     poses = pixel_poses(inference, mask, camera, target.extents)
@@ -155,45 +154,36 @@ def test_seen_support_agrees_with_brute_force(
     assert np.count_nonzero(result.support() & mask) >= 0.95 * mask.sum()
 
 
-@pytest.fixture(scope="module", params=["box_2to1", "box_10to1", "lid"])
-def any_inference(request: pytest.FixtureRequest) -> tuple:
-    target = target_model(request.param)
-    return target, ExactInference(target)
-
-
+@pytest.mark.parametrize("name", ["box_2to1", "box_10to1", "lid"])
 @pytest.mark.parametrize("view", ["nominal", "tilted", "low"])
-def test_fully_visible_target_is_where_it_is_seen(
-    any_inference: tuple, view: str
-) -> None:
-    target, inference = any_inference
-    mesh = lying(target.visual, 0.04, -0.03, 0.37)
+def test_fully_visible_target_is_where_it_is_seen(name: str, view: str) -> None:
+    mesh = lying(target_model(name).visual, 0.04, -0.03, 0.37)
     depth, label = render(CAMERAS[view], [mesh])
-    result = inference.infer(depth, label == 0, CAMERAS[view])
+    result = inference_of(name).infer(depth, label == 0, CAMERAS[view])
     assert iou(result.support(), label == 0) >= 0.9
 
 
-def test_blank_scene_and_hidden_target_is_empty(any_inference: tuple) -> None:
-    _, inference = any_inference
-    depth, _ = render(CAMERAS["nominal"], [])
-    result = inference.infer(depth, NOTHING, CAMERAS["nominal"])
-    assert not result.data.any()
-    assert result.method == "geometric"
+ANY = ("box_2to1", "box_10to1", "lid", "die", "brick", "cup")
 
 
-def test_too_small_a_hiding_place_is_empty(any_inference: tuple) -> None:
-    _, inference = any_inference
+@pytest.mark.parametrize("name", ANY)
+def test_a_blank_scene_and_too_small_a_hiding_place_are_empty(
+    name: str,
+) -> None:
     block = trimesh.creation.box([0.02, 0.02, 0.04])
     block.apply_translation([0.03, 0.02, 0.02])
-    depth, _ = render(CAMERAS["nominal"], [block])
-    result = inference.infer(depth, NOTHING, CAMERAS["nominal"])
-    assert not result.data.any()
+    for scene in ([], [block]):
+        depth, _ = render(CAMERAS["nominal"], scene)
+        result = inference_of(name).infer(depth, NOTHING, CAMERAS["nominal"])
+        assert not result.data.any()
+        assert result.method == "geometric"
 
 
-def test_pixels_without_a_reading_hide_nothing() -> None:
-    inference = ExactInference(target_model("box_2to1"))
-    camera = CAMERAS["nominal"]
-    plate = trimesh.creation.box([0.1, 0.1, 0.02])
-    plate.apply_translation([0, 0, 0.02])
+@pytest.mark.parametrize("name", ["box_2to1", "die"])
+def test_pixels_without_a_reading_hide_nothing(name: str) -> None:
+    inference, camera = inference_of(name), CAMERAS["nominal"]
+    plate = trimesh.creation.box([0.15, 0.15, 0.01])
+    plate.apply_translation([0, 0, 0.067])
     depth, label = render(camera, [plate])
     assert inference.infer(depth, NOTHING, camera).support_size() > 1000
     for nothing in (0.0, np.nan, np.inf):
@@ -203,7 +193,8 @@ def test_pixels_without_a_reading_hide_nothing() -> None:
 
 def test_candidates_keep_within_the_bin() -> None:
     target = target_model("box_2to1")
-    inference = ExactInference(target, floor=((-0.1, 0.1), (-0.05, 0.05)))
+    config = GeometricConfig(floor=[-0.1, 0.1, -0.05, 0.05])
+    inference = GeometricInference(target, config)
     camera = CAMERAS["tilted"]
     depth = camera.plane_depth(0.05).astype(np.float32)
     support = inference.infer(depth, NOTHING, camera).support()
@@ -216,7 +207,7 @@ def test_candidates_keep_within_the_bin() -> None:
 
 def test_candidates_keep_within_the_image() -> None:
     """A camera that sees half the bin: all it sees may hide the target."""
-    inference = ExactInference(target_model("box_2to1"))
+    inference = inference_of("box_2to1")
     camera = make_camera(focal_length=1100)
     depth = camera.plane_depth(0.05).astype(np.float32)
     data = inference.infer(depth, NOTHING, camera).data
@@ -229,7 +220,7 @@ def test_candidates_keep_within_the_image() -> None:
 def test_another_occluder_never_shrinks_a_hidden_support(seed: int) -> None:
     rng = np.random.default_rng(seed)
     camera = CAMERAS["low"]
-    inference = _inference("box_2to1")
+    inference = inference_of("box_2to1")
     scene = occluders(rng, 6, np.zeros(2), 0.05, 0.008)
     before, _ = render(camera, scene[:-1])
     after, _ = render(camera, scene)
@@ -256,7 +247,7 @@ def test_support_holds_a_hidden_target(seed: int, name: str, view: str) -> None:
         *occluders(rng, 3, np.array([x, y]), 0.03, mesh.extents[2] + 0.002),
     ]
     depth, _ = render(camera, scene)
-    support = _inference(name).infer(depth, NOTHING, camera).support()
+    support = inference_of(name).infer(depth, NOTHING, camera).support()
     assert np.count_nonzero(support & truth) >= 0.99 * truth.sum()
 
 
@@ -281,7 +272,7 @@ def test_support_holds_a_target_that_is_partly_seen(
     depth, label = render(
         camera, [mesh, *occluders(rng, 3, center, 0.03, height)]
     )
-    support = _inference(name).infer(depth, label == 0, camera).support()
+    support = inference_of(name).infer(depth, label == 0, camera).support()
     assert np.count_nonzero(support & truth) >= 0.9 * truth.sum()
 
 
@@ -304,7 +295,7 @@ def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
     if not seen:
         scene = scene[1:]
     turned_scene = [mesh.copy().apply_transform(quarter) for mesh in scene]
-    floors = ((-0.25, 0.25), (-0.20, 0.20)), ((-0.20, 0.20), (-0.25, 0.25))
+    floors = [-0.25, 0.25, -0.20, 0.20], [-0.20, 0.20, -0.25, 0.25]
     supports = []
     for floor, meshes, view in zip(
         floors, (scene, turned_scene), (camera, turned_camera), strict=True
@@ -312,7 +303,7 @@ def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
         depth, label = render(view, meshes)
         mask = (label == 0) & seen
         assert mask.any() == seen
-        inference = ExactInference(target, floor=floor)
+        inference = GeometricInference(target, GeometricConfig(floor=floor))
         supports.append(inference.infer(depth, mask, view).support())
     assert iou(*supports) >= 0.98
 
@@ -323,13 +314,15 @@ def test_a_tilted_target_is_held_by_coverage() -> None:
     tilt = trimesh.transformations.rotation_matrix(np.deg2rad(50), [1, 0, 0])
     mesh = lying(target.visual.copy().apply_transform(tilt), 0.05, 0.02, 0.3)
     depth, label = render(camera, [mesh])
-    support = ExactInference(target).infer(depth, label == 0, camera).support()
+    support = (
+        GeometricInference(target).infer(depth, label == 0, camera).support()
+    )
     truth = label == 0
     assert np.count_nonzero(support & truth) >= 0.95 * truth.sum()
 
 
 def test_mask_outside_the_floor_is_ignored() -> None:
-    inference = ExactInference(target_model("box_2to1"))
+    inference = inference_of("box_2to1")
     camera = CAMERAS["nominal"]
     plate = trimesh.creation.box([0.1, 0.1, 0.02])
     plate.apply_translation([0, 0, 0.02])
@@ -347,8 +340,8 @@ def test_target_with_a_hole() -> None:
     ring = trimesh.creation.annulus(r_min=0.018, r_max=0.03, height=0.006)
     pieces = [ring]
     target = object_from_pieces("ring", pieces, density=600.0, recenter=False)
-    inference = ExactInference(target)
-    assert len(inference.angles) < 32
+    inference = GeometricInference(target)
+    assert len(inference.poses.angles) < 32
     camera = CAMERAS["tilted"]
     mesh = lying(target.visual, 0.03, 0.02, 0.0)
     depth, label = render(camera, [mesh])
@@ -360,32 +353,49 @@ def test_target_with_a_hole() -> None:
     assert np.count_nonzero(hidden & (label == 0)) >= 0.99 * (label == 0).sum()
 
 
-def test_wrong_input_is_named() -> None:
-    inference = ExactInference(target_model("box_2to1"))
-    camera = CAMERAS["nominal"]
+def test_what_lies_under_the_visible_part_changes_next_to_nothing() -> None:
+    """So exact labels, of the scene without the target, are its answers."""
+    target, camera = target_model("box_2to1"), CAMERAS["nominal"]
+    mesh = lying(target.visual, 0.0, 0.03, 0.2)
+    block = trimesh.creation.box([0.5 * target.extents[0], 0.08, 0.03])
+    block.apply_translation([0.01, 0.03, 0.035])
+    depth, label = render(camera, [mesh, block])
+    scene, _ = render(camera, [block])
+    inference = inference_of("box_2to1")
+    without = inference.infer(scene, label == 0, camera).support()
+    support = inference.infer(depth, label == 0, camera).support()
+    assert iou(without, support) >= 0.95
+    amodal = amodal_mask(mesh, camera)
+    assert np.count_nonzero(without & amodal) >= 0.98 * amodal.sum()
+
+
+@pytest.mark.parametrize("name", ["box_2to1", "die"])
+def test_wrong_input_is_named(name: str) -> None:
+    inference, camera = inference_of(name), CAMERAS["nominal"]
     depth, _ = render(camera, [])
-    with pytest.raises(ValueError, match=r"target mask is \(2, 3\)"):
-        inference.infer(depth, np.zeros((2, 3), bool), camera)
-    with pytest.raises(ValueError, match=r"depth image is \(4, 4\)"):
-        inference.infer(depth[:4, :4], NOTHING, camera)
-    for nothing in (0.0, np.nan, np.inf):
-        blind = np.full_like(depth, nothing)
-        with pytest.raises(ValueError, match="no reading at all"):
-            inference.infer(blind, NOTHING, camera)
     X_WC = camera.X_WC.copy()
     X_WC[2, 3] = 0.001
     low = PinholeCamera(512, 384, camera.intrinsics, X_WC)
-    depth = np.full_like(depth, 0.001)
-    with pytest.raises(ValueError, match="above the target"):
-        inference.infer(depth, NOTHING, low)
-    with pytest.raises(ValueError, match="at least one rotation"):
-        ExactInference(target_model("box_2to1"), rotations=0)
+    wrong: list[tuple[np.ndarray, np.ndarray, PinholeCamera, str]] = [
+        (depth, np.zeros((2, 3), bool), camera, r"target mask is \(2, 3\)"),
+        (depth[:4, :4], NOTHING, camera, r"depth image is \(4, 4\)"),
+        (np.full_like(depth, 0.001), NOTHING, low, "above the target"),
+    ]
+    for nothing in (0.0, np.nan, np.inf):
+        blind = np.full_like(depth, nothing)
+        wrong.append((blind, NOTHING, camera, "no reading at all"))
+    for image, mask, view, said in wrong:
+        with pytest.raises(ValueError, match=said):
+            inference.infer(image, mask, view)
 
 
-_INFERENCES: dict[str, ExactInference] = {}
-
-
-def _inference(name: str) -> ExactInference:
-    if name not in _INFERENCES:
-        _INFERENCES[name] = ExactInference(target_model(name))
-    return _INFERENCES[name]
+def test_wrong_numbers_are_named() -> None:
+    for poses in ("flat", "resting"):
+        with pytest.raises(ValueError, match="at least one rotation"):
+            GeometricInference(
+                TALL["die"], GeometricConfig(poses=poses, rotations=0)
+            )
+    with pytest.raises(ValueError, match=r"'upright': choose one of flat, res"):
+        GeometricInference(TALL["die"], GeometricConfig(poses="upright"))
+    with pytest.raises(ValueError, match=r"'resting': choose one of flat$"):
+        label_inference(TALL["die"], GeometricConfig(poses="resting"))

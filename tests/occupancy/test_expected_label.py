@@ -9,17 +9,17 @@ import pytest
 import trimesh
 
 from tests.occupancy.brute_force import render
+from tests.occupancy.inferences import label_inference
 from tests.occupancy.scenes import CAMERAS, cover, lying, occluders
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.geometric.config import (
-    ExactInferenceConfig,
-    ExpectedLabelConfig,
+    GeometricConfig,
+    GeometricLabelConfig,
 )
-from xray_drake.occupancy.geometric.expected import (
-    ExpectedLabel,
-    expected_label,
+from xray_drake.occupancy.geometric.inference import GeometricInference
+from xray_drake.occupancy.geometric.label_answer import (
+    label_of_poses,
 )
-from xray_drake.occupancy.geometric.flat import ExactInference
 from xray_drake.occupancy.geometric.label_mixture import LEVELS
 from xray_drake.occupancy.geometric.pose_search import PoseSearch
 from xray_drake.occupancy.label.ground_truth import occupancy_label
@@ -56,7 +56,7 @@ class Scene:
             np.array([*place, self.target.extents[2] / 2]),
         ).distribution
 
-    def counts(self, inference: ExactInference) -> PixelCounts:
+    def counts(self, inference: GeometricInference) -> PixelCounts:
         answer = inference.infer(self.depth, self.mask, self.camera)
         return pixel_counts(self.label, answer.data)
 
@@ -66,7 +66,7 @@ def reference(
     mask: np.ndarray,
     would_show: np.ndarray,
     turn: int,
-    config: ExpectedLabelConfig,
+    config: GeometricLabelConfig,
 ) -> list[tuple[np.ndarray, float]]:
     """Returns the labels that the image may have, pose by pose."""
     size, side = int(mask.sum()), search.silhouettes.shape[1]
@@ -111,23 +111,17 @@ def reference(
 def test_it_agrees_with_brute_force(name: str, view: str, seed: int) -> None:
     scene = Scene(name, CAMERAS[view], seed, hidden=False)
     assert 0 < scene.mask.sum() < 0.8 * scene.amodal.sum()
-    inference = ExpectedLabel(
-        scene.target, ExactInferenceConfig(rotations=16, seen_step=0.02)
+    inference = label_inference(
+        scene.target, GeometricConfig(rotations=16, seen_step=0.02)
     )
     heights = np.where(scene.depth < 0.795, 1.0, 0.0)
     would_show = (heights < 0.5) | scene.mask
-    search = PoseSearch(
-        inference._target,
-        inference.seen_angles,
-        would_show,
-        scene.mask,
-        scene.camera,
-        inference._floor.half_planes(0.002),
-    )
+    poses = inference.poses
+    search = poses.search(would_show, scene.mask, scene.camera)
     # Orientations that cover far too little are not looked at.
-    config = replace(ExpectedLabelConfig(), tolerance=0.15)
-    turn = max(1, len(inference.seen_angles) // 8)
-    answer = expected_label(search, turn, config)
+    config = replace(GeometricLabelConfig(), tolerance=0.15)
+    turn = max(1, len(poses.seen_angles) // 8)
+    answer = label_of_poses(search, turn, config)
     labels = reference(search, scene.mask, would_show, turn, config)
     assert len(labels) > 3
     total = sum(weight for _, weight in labels)
@@ -166,8 +160,8 @@ def test_it_agrees_with_brute_force(name: str, view: str, seed: int) -> None:
 def test_it_is_nearer_to_the_label_than_a_count_of_all_poses() -> None:
     expected = counted = PixelCounts()
     for name in ("box_1to1", "box_5to1"):
-        ours = ExpectedLabel(target_model(name))
-        exact = ExactInference(target_model(name))
+        ours = label_inference(target_model(name))
+        exact = GeometricInference(target_model(name))
         for seed in range(6):
             view = ("nominal", "tilted", "low")[seed % 3]
             scene = Scene(name, CAMERAS[view], seed, hidden=False)
@@ -181,7 +175,7 @@ def test_it_is_nearer_to_the_label_than_a_count_of_all_poses() -> None:
 
 @pytest.mark.parametrize("name", ["box_2to1", "lid"])
 def test_it_is_near_the_label_of_a_hidden_target(name: str) -> None:
-    inference = ExpectedLabel(target_model(name))
+    inference = label_inference(target_model(name))
     total = PixelCounts()
     for seed in range(3):
         scene = Scene(name, CAMERAS["tilted"], seed, hidden=True)
@@ -194,8 +188,8 @@ def test_it_is_near_the_label_of_a_hidden_target(name: str) -> None:
 def test_a_target_in_full_view_is_where_it_is_seen(name: str) -> None:
     target, camera = target_model(name), CAMERAS["low"]
     depth, label = render(camera, [lying(target.visual, 0.04, -0.03, 0.37)])
-    answer = ExpectedLabel(target).infer(depth, label == 0, camera)
-    assert answer.method == "expected"
+    answer = label_inference(target).infer(depth, label == 0, camera)
+    assert answer.method == "geometric_label"
     there = answer.data > 0.1
     common = np.count_nonzero(there & (label == 0))
     assert common / np.count_nonzero(there | (label == 0)) >= 0.9
@@ -203,7 +197,7 @@ def test_a_target_in_full_view_is_where_it_is_seen(name: str) -> None:
 
 def test_it_turns_as_scene_and_camera_do() -> None:
     scene = Scene("box_2to1", CAMERAS["nominal"], 1, hidden=False)
-    inference = ExpectedLabel(scene.target)
+    inference = label_inference(scene.target)
     upright = inference.infer(scene.depth, scene.mask, scene.camera).data
     # Half a turn of a camera whose centre is the image's.
     X_WC = np.array(scene.camera.X_WC)
@@ -220,7 +214,7 @@ def test_it_turns_as_scene_and_camera_do() -> None:
 def test_what_a_camera_does_not_read_speaks_against_no_pose(name: str) -> None:
     """Holes cost little; were they empty floor, few poses would be left."""
     whole, holed = PixelCounts(), PixelCounts()
-    inference = ExpectedLabel(target_model(name))
+    inference = label_inference(target_model(name))
     for seed in range(4):
         scene = Scene(name, CAMERAS["tilted"], seed, hidden=False)
         if not scene.mask.any():
@@ -239,9 +233,9 @@ def test_what_a_camera_does_not_read_speaks_against_no_pose(name: str) -> None:
 
 def test_of_many_poses_some_lattices_stand_for_all() -> None:
     scene = Scene("box_5to1", CAMERAS["nominal"], 3, hidden=False)
-    all_of_them = ExpectedLabel(scene.target)
-    config = ExactInferenceConfig(label=ExpectedLabelConfig(most_poses=1))
-    one = ExpectedLabel(scene.target, config)
+    all_of_them = label_inference(scene.target)
+    config = GeometricConfig(label=GeometricLabelConfig(most_poses=1))
+    one = label_inference(scene.target, config)
     data = one.infer(scene.depth, scene.mask, scene.camera).data
     # That of a single lattice: it has one maximum, and that is 1.
     assert data.max() > 0.8
@@ -251,7 +245,7 @@ def test_of_many_poses_some_lattices_stand_for_all() -> None:
 
 def test_a_blank_scene_and_a_hidden_target_are_empty() -> None:
     depth, _ = render(CAMERAS["nominal"], [])
-    inference = ExpectedLabel(target_model("box_1to1"))
+    inference = label_inference(target_model("box_1to1"))
     answer = inference.infer(depth, NOTHING, CAMERAS["nominal"])
     assert not answer.data.any()
 
@@ -262,7 +256,7 @@ def test_a_mask_that_no_pose_meets_is_the_answer() -> None:
     depth, _ = render(CAMERAS["nominal"], [plate])
     mask = NOTHING.copy()
     mask[2:4, 2:6] = True
-    inference = ExpectedLabel(target_model("box_1to1"))
+    inference = label_inference(target_model("box_1to1"))
     answer = inference.infer(depth, mask, CAMERAS["nominal"])
     assert np.isfinite(answer.data).all()
     assert answer.data.min() >= 0
@@ -281,14 +275,14 @@ def test_a_mask_that_no_pose_meets_is_the_answer() -> None:
     ],
 )
 def test_wrong_numbers_are_named(wrong: dict[str, float]) -> None:
-    config = ExactInferenceConfig(label=replace(ExpectedLabelConfig(), **wrong))
+    config = GeometricConfig(label=replace(GeometricLabelConfig(), **wrong))
     (name,) = wrong
     with pytest.raises(ValueError, match=rf"label\.{name} is .*: it must be"):
-        ExpectedLabel(target_model("box_1to1"), config)
+        label_inference(target_model("box_1to1"), config)
 
 
 def test_the_labels_orientations_must_be_among_those_searched() -> None:
     """The label's are 22.5° apart: steps of 15° do not add up to that."""
-    config = ExactInferenceConfig(rotations=24)
+    config = GeometricConfig(rotations=24)
     with pytest.raises(ValueError, match=r"exact\.rotations is 24.* 16 orient"):
-        ExpectedLabel(target_model("box_1to1"), config)
+        label_inference(target_model("box_1to1"), config)

@@ -7,19 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pydrake.common.value import AbstractValue
-from pydrake.systems.sensors import ImageDepth32F
 from torch import Tensor, nn
 
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.messages import TargetMask
 from xray_drake.occupancy.learned.augmented_depth import augmented_depth
 from xray_drake.occupancy.learned.compact import OUTPUTS, CompactNet
 from xray_drake.occupancy.learned.inference import (
     SUPPORT_THRESHOLD,
     LearnedInference,
-    default_weights,
     load_inference,
 )
 from xray_drake.occupancy.learned.inputs import (
@@ -33,7 +29,6 @@ from xray_drake.occupancy.learned.weights import (
     WeightsError,
     save_weights,
 )
-from xray_drake.occupancy.system import OccupancyInference
 
 WIDTH, HEIGHT = 96, 64
 SHAPE = (HEIGHT, WIDTH)
@@ -162,22 +157,6 @@ def test_the_answer_is_that_of_the_network_on_disk(
     np.testing.assert_array_equal(again.data, data)
 
 
-@pytest.mark.parametrize("capable", [True, False])
-def test_a_processor_does_not_choose_the_type(
-    monkeypatch: pytest.MonkeyPatch, capable: bool
-) -> None:
-    monkeypatch.setattr(
-        torch.cpu,
-        "get_capabilities",
-        lambda: {"avx512_bf16": capable, "amx_bf16": capable},
-        raising=False,
-    )
-    exact = by_hand(network(), "occupancy")
-    inference = LearnedInference(network(), card(), SIZE)
-    data = inference.infer(*scene(), CAMERA).data
-    assert np.abs(data - exact).max() < 1e-5
-
-
 def test_a_network_computes_in_the_type_that_is_asked_for() -> None:
     exact = by_hand(network(), "occupancy")
     inference = LearnedInference(network(), card(), SIZE, dtype="bfloat16")
@@ -191,17 +170,6 @@ def test_types_that_a_network_cannot_compute_in() -> None:
     papers = card(architecture="fcn_resnet50", input="augmented_depth")
     with pytest.raises(ValueError, match="fcn_resnet50 computes in float32"):
         LearnedInference(Mirror(), papers, SIZE, dtype="bfloat16")
-
-
-def test_the_two_outputs_differ(path: Path) -> None:
-    save(path)
-    answers = [
-        load_inference(path, target_size=SIZE, output=output)
-        .infer(*scene(), CAMERA)
-        .data
-        for output in ("occupancy", "posterior")
-    ]
-    assert np.abs(answers[0] - answers[1]).max() > 0.1
 
 
 def test_readings_may_be_missing_in_any_way() -> None:
@@ -327,15 +295,6 @@ def test_a_network_of_all_sizes_sees_the_image_as_it_is() -> None:
     np.testing.assert_array_equal(
         net.size[0], size_features(size, mask, CAMERA)
     )
-
-
-@pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
-def test_a_depth_image_without_any_reading(nothing: float) -> None:
-    inference = LearnedInference(Mirror(), card(), SIZE)
-    depth = np.full(SHAPE, nothing, np.float32)
-    with pytest.raises(ValueError, match="has no reading") as error:
-        inference.infer(depth, np.zeros(SHAPE, bool), CAMERA)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -531,55 +490,6 @@ def test_a_file_that_was_written_again_is_read_again(path: Path) -> None:
         answers.append(inference.infer(*scene(), CAMERA).data)
     assert np.abs(answers[0] - answers[1]).max() > 0.1
     np.testing.assert_array_equal(answers[1], answers[2])
-
-
-def test_two_targets_of_one_file_do_not_meddle(path: Path) -> None:
-    save(path)
-    small = load_inference(path, target_size=SIZE)
-    before = small.infer(*scene(), CAMERA).data
-    large = load_inference(path, target_size=2 * SIZE, output="posterior")
-    large.infer(*scene(), CAMERA)
-    np.testing.assert_array_equal(small.infer(*scene(), CAMERA).data, before)
-
-
-def test_the_packages_weights_lie_with_its_models() -> None:
-    weights = default_weights()
-    assert weights.parts[-3:] == ("models", "networks", weights.name)
-    assert weights.suffix == ".safetensors"
-
-
-def test_the_system_gives_what_the_network_says(path: Path) -> None:
-    save(path)
-    inference = load_inference(path, target_size=SIZE)
-    system = OccupancyInference(inference=inference, width=WIDTH, height=HEIGHT)
-    context = system.CreateDefaultContext()
-    depth, mask = scene()
-
-    def fix(image: np.ndarray) -> None:
-        value = ImageDepth32F(WIDTH, HEIGHT)
-        value.mutable_data[:, :, 0] = image
-        system.GetInputPort("depth_image").FixValue(
-            context, AbstractValue.Make(value)
-        )
-
-    for name, message in (
-        ("target_mask", TargetMask(mask)),
-        ("camera", CAMERA),
-    ):
-        system.GetInputPort(name).FixValue(context, AbstractValue.Make(message))
-    fix(depth)
-    output = system.GetOutputPort("occupancy").Eval(context)
-    np.testing.assert_array_equal(
-        output.data, inference.infer(depth, mask, CAMERA).data
-    )
-    assert output.method == "learned"
-    assert output.support_size() == np.count_nonzero(output.data > 0.02)
-    fix(depth - 0.05)
-    other = system.GetOutputPort("occupancy").Eval(context)
-    assert not np.array_equal(other.data, output.data)
-    fix(np.full(SHAPE, np.inf))
-    with pytest.raises(ValueError, match="has no reading"):
-        system.GetOutputPort("occupancy").Eval(context)
 
 
 def test_networks_training_and_virtual_targets_need_no_drake() -> None:

@@ -93,20 +93,6 @@ def test_a_level_surface_has_one_height(
     assert np.isnan(heights[~seen]).all()
 
 
-@given(camera=_any_camera, nothing=_NOTHING, seed=st.integers(0, 99))
-@settings(deadline=None, max_examples=25)
-def test_what_has_no_reading_has_no_height(
-    camera: PinholeCamera, nothing: float, seed: int
-) -> None:
-    depth = _noise(camera, seed)
-    lost = np.random.default_rng(seed).random(camera.shape) < 0.3
-    depth[lost] = nothing
-    depth.setflags(write=False)
-    np.testing.assert_array_equal(
-        np.isnan(heights_above_floor(depth, camera)), lost
-    )
-
-
 @given(
     camera=_any_camera,
     thickness=st.floats(0.003, 0.03),
@@ -126,24 +112,6 @@ def test_only_what_is_higher_than_the_targets_top_covers_it(
     np.testing.assert_allclose(cover(thickness), 0.5, atol=1e-3)
     assert (cover(thickness + 0.001) > 0.5).all()
     assert (cover(thickness - 0.001) < 0.5).all()
-
-
-@pytest.mark.parametrize("nothing", [0.0, np.inf, np.nan])
-def test_what_has_no_reading_covers_nothing(nothing: float) -> None:
-    camera = _CAMERAS["tilted"]
-    depth = camera.plane_depth(0.05)
-    depth[8:20, 12:20] = nothing
-    fine, coarse = geometry_input(depth, _blank(camera), camera, 0.005)
-    lost = np.zeros(camera.shape, bool)
-    lost[8:20, 12:20] = True
-    np.testing.assert_array_equal(fine[_COVER], ~lost)
-    lost = np.zeros((12, 16), bool)
-    lost[2:5, 3:5] = True
-    np.testing.assert_array_equal(coarse[_READING], ~lost)
-    assert (coarse[_HEIGHT][lost] == 0).all()
-    assert (coarse[_HEIGHT][~lost] > 0.3).all()
-    assert np.isfinite(fine).all()
-    assert np.isfinite(coarse).all()
 
 
 @pytest.mark.parametrize("camera", _CAMERAS.values(), ids=_CAMERAS)
@@ -201,34 +169,6 @@ def test_the_floor_is_where_rays_meet_it_within_the_bin(
                 )
     assert 0 < expected.mean() < 1
     np.testing.assert_array_equal(floor, expected)
-
-
-def test_the_floor_is_where_the_camera_projects_the_bin() -> None:
-    camera = _camera(
-        size=(128, 96),
-        radius=0.7,
-        tilt=6,
-        azimuth=230,
-        roll=-6,
-        focal_length=140,
-    )
-    images = geometry_input(_noise(camera), _blank(camera), camera, 0.005)
-    floor = images.coarse[_FLOOR]
-    low, high = np.array(_BIN[::2]), np.array(_BIN[1::2])
-    found = []
-    for x, y in np.random.default_rng(0).uniform(
-        1.1 * low, 1.1 * high, (300, 2)
-    ):
-        u, v, _ = camera.project(np.array([x, y, 0.0]))
-        column, row = round((u - 1.5) / 4), round((v - 1.5) / 4)
-        beyond = np.abs([x, y]) - high
-        if np.abs(beyond).min() < 0.02 or not (
-            0 <= row < 24 and 0 <= column < 32
-        ):
-            continue
-        found.append((beyond < 0).all())
-        assert floor[row, column] == found[-1]
-    assert 0 < np.mean(found) < 1
 
 
 @given(

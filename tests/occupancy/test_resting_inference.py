@@ -8,24 +8,25 @@ from hypothesis import strategies as st
 
 from tests.masks import iou
 from tests.occupancy.brute_force import RestingBruteForce, render
+from tests.occupancy.inferences import (
+    TALL,
+    block,
+    inference_of,
+    resting_inference,
+)
 from tests.occupancy.scenes import CAMERAS, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.geometric.blocks import Blocks
-from xray_drake.occupancy.geometric.config import ExactInferenceConfig
-from xray_drake.occupancy.geometric.flat import ExactInference
-from xray_drake.occupancy.geometric.inference import exact_model
-from xray_drake.occupancy.geometric.resting import (
-    HIDDEN_STEP,
-    RestingInference,
-)
+from xray_drake.occupancy.geometric.config import GeometricConfig
+from xray_drake.occupancy.geometric.inference import GeometricInference
+from xray_drake.occupancy.geometric.resting import HIDDEN_STEP
 from xray_drake.occupancy.geometric.standing import StandingTarget
-from xray_drake.occupancy.geometric.standing_kernels import View
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.occupancy.geometric.standing_drawing import View
 from xray_drake.scene.targets import target_model
 
 # Few orientations and pixels, for the sake of the brute force.
-COARSE = ExactInferenceConfig(rotations=8, seen_step=0.02)
+COARSE = GeometricConfig(rotations=8, seen_step=0.02)
 SMALL = {
     "nominal": make_camera(
         focal_length=276.25, center=(127.5, 95.5), size=(256, 192)
@@ -40,33 +41,6 @@ SMALL = {
     ),
 }
 FLOOR = Floor((-0.25, 0.25), (-0.20, 0.20))
-
-
-def block(*sides: float) -> ObjectModel:
-    mesh = trimesh.creation.box(sides)
-    return object_from_pieces("block", [mesh], density=600.0, recenter=False)
-
-
-def cup() -> ObjectModel:
-    outer = trimesh.creation.cylinder(0.03, 0.07, sections=24)
-    inner = trimesh.creation.cylinder(0.026, 0.07, sections=24)
-    inner.apply_translation([0, 0, 0.005])
-    mesh = trimesh.boolean.difference([outer, inner], engine="manifold")
-    return object_from_pieces("cup", [mesh], density=600.0, recenter=False)
-
-
-TARGETS = {
-    "die": block(0.06, 0.06, 0.06),
-    "brick": block(0.07, 0.045, 0.03),
-    "cup": cup(),
-}
-_INFERENCES: dict[str, RestingInference] = {}
-
-
-def inference_of(name: str) -> RestingInference:
-    if name not in _INFERENCES:
-        _INFERENCES[name] = RestingInference(TARGETS[name])
-    return _INFERENCES[name]
 
 
 def placed(
@@ -107,7 +81,7 @@ def near(pixels: np.ndarray, place: np.ndarray, reach: float) -> np.ndarray:
 
 # Each view has targets that lie in another way.
 SCENES = [
-    (name, view, seed) for name in TARGETS for seed, view in enumerate(SMALL)
+    (name, view, seed) for name in TALL for seed, view in enumerate(SMALL)
 ]
 
 
@@ -115,10 +89,10 @@ SCENES = [
 def test_hidden_support_agrees_with_brute_force(
     name: str, view: str, seed: int
 ) -> None:
-    target, camera = TARGETS[name], SMALL[view]
-    inference = RestingInference(target, COARSE)
+    target, camera = TALL[name], SMALL[view]
+    inference = resting_inference(target, COARSE)
     rng = np.random.default_rng(seed)
-    body = inference.bodies[seed % len(inference.bodies)]
+    body = inference.poses.bodies[seed % len(inference.poses.bodies)]
     xy = rng.uniform([-0.17, -0.12], [0.17, 0.12])
     side = 2 * body.radius + 0.02
     others = occluders(rng, 3, xy, 0.05, 0.0)
@@ -135,13 +109,13 @@ def test_hidden_support_agrees_with_brute_force(
                 place,
                 60,
             ),
-            inference.angles(one),
+            inference.poses.angles(one),
             camera,
         )
-        for one in inference.bodies
+        for one in inference.poses.bodies
     ]
-    meshes = [placed(one, np.zeros(2), 0.0) for one in inference.bodies]
-    shares = [one.probability for one in inference.bodies]
+    meshes = [placed(one, np.zeros(2), 0.0) for one in inference.poses.bodies]
+    shares = [one.probability for one in inference.poses.bodies]
     truth = RestingBruteForce(meshes, shares, COARSE, depth, nothing, camera)
     expected = truth.infer(poses)
     assert np.count_nonzero(expected) > 100
@@ -154,10 +128,10 @@ def test_hidden_support_agrees_with_brute_force(
 def test_seen_support_agrees_with_brute_force(
     name: str, view: str, seed: int
 ) -> None:
-    target, camera = TARGETS[name], SMALL[view]
-    inference = RestingInference(target, COARSE)
+    target, camera = TALL[name], SMALL[view]
+    inference = resting_inference(target, COARSE)
     rng = np.random.default_rng(seed)
-    body = inference.bodies[seed % len(inference.bodies)]
+    body = inference.poses.bodies[seed % len(inference.poses.bodies)]
     xy = rng.uniform([-0.17, -0.12], [0.17, 0.12])
     mesh = placed(body, xy, rng.uniform(0, 2 * np.pi))
     amodal = amodal_of(mesh, camera)
@@ -179,11 +153,11 @@ def test_seen_support_agrees_with_brute_force(
         [[u, v] for u in range(-30, 31) for v in range(-30, 31)]
     )
     poses = [
-        poses_at(one, around, inference.seen_angles(one), camera)
-        for one in inference.bodies
+        poses_at(one, around, inference.poses.seen_angles(one), camera)
+        for one in inference.poses.bodies
     ]
-    meshes = [placed(one, np.zeros(2), 0.0) for one in inference.bodies]
-    shares = [one.probability for one in inference.bodies]
+    meshes = [placed(one, np.zeros(2), 0.0) for one in inference.poses.bodies]
+    shares = [one.probability for one in inference.poses.bodies]
     truth = RestingBruteForce(meshes, shares, COARSE, depth, mask, camera)
     expected = truth.infer(poses)
     assert iou(result.support(), expected > 0) >= 0.95
@@ -193,7 +167,7 @@ def test_seen_support_agrees_with_brute_force(
 
 @settings(max_examples=12, deadline=None)
 @given(
-    st.sampled_from(sorted(TARGETS)),
+    st.sampled_from(sorted(TALL)),
     st.integers(0, 2**32 - 1),
     st.sampled_from(sorted(CAMERAS)),
 )
@@ -203,7 +177,7 @@ def test_drawing_agrees_with_rays_up_to_the_image_border(
     """Its sides count: at the border, a tall thing leans far out."""
     camera = CAMERAS[view]
     rng = np.random.default_rng(seed)
-    bodies = inference_of(name).bodies
+    bodies = inference_of(name).poses.bodies
     body = bodies[rng.integers(len(bodies))]
     angle = rng.uniform(0, 2 * np.pi)
     u, v = np.rint(rng.uniform([60, 60], [450, 320]))
@@ -228,7 +202,7 @@ def test_drawing_agrees_with_rays_up_to_the_image_border(
 
 def test_pixels_at_the_border_show_the_side() -> None:
     """The numbers behind the rule: 6 cm high, 20 cm aside, 80 cm below."""
-    body = inference_of("die").bodies[0]
+    body = inference_of("die").poses.bodies[0]
     camera = CAMERAS["nominal"]
     pixel = camera.project(np.array([0.2, 0.0, body.middle]))[:2].round()
     reach = body.reach(camera, FLOOR)
@@ -248,7 +222,7 @@ def test_support_holds_the_true_pose(name: str, seed: int) -> None:
     """Hidden under a roof of its own height, or peeping out."""
     rng = np.random.default_rng(seed)
     inference = inference_of(name)
-    body = inference.bodies[rng.integers(len(inference.bodies))]
+    body = inference.poses.bodies[rng.integers(len(inference.poses.bodies))]
     xy = rng.uniform([-0.15, -0.1], [0.15, 0.1])
     mesh = placed(body, xy, rng.uniform(0, 2 * np.pi))
     camera = CAMERAS["rolled"]
@@ -286,8 +260,8 @@ def test_a_taller_occluder_only_enlarges_a_hidden_support(seed: int) -> None:
 def test_what_lies_fits_under_what_is_too_low_for_it_upright() -> None:
     """A brick under a roof lower than it is long: only resting poses fit."""
     target = block(0.03, 0.045, 0.08)
-    inference = RestingInference(target)
-    lying = inference.bodies[0]
+    inference = resting_inference(target)
+    lying = inference.poses.bodies[0]
     assert lying.height == pytest.approx(0.03)
     camera = CAMERAS["nominal"]
     mesh = placed(lying, np.array([0.05, 0.02]), 0.4)
@@ -299,7 +273,7 @@ def test_what_lies_fits_under_what_is_too_low_for_it_upright() -> None:
     amodal = amodal_of(mesh, camera)
     found = inference.infer(depth, nothing, camera).support()
     assert np.count_nonzero(found & amodal) >= 0.99 * amodal.sum()
-    flat = ExactInference(target).infer(depth, nothing, camera).support()
+    flat = GeometricInference(target).infer(depth, nothing, camera).support()
     assert not flat.any()
 
 
@@ -307,7 +281,7 @@ def test_what_is_seen_decides_between_poses() -> None:
     """A brick whose top is seen whole lies on the face that is seen."""
     inference = inference_of("brick")
     camera = CAMERAS["nominal"]
-    for body in inference.bodies:
+    for body in inference.poses.bodies:
         mesh = placed(body, np.array([0.03, -0.02]), 0.3)
         depth, label = render(camera, [mesh])
         mask = label == 0
@@ -317,7 +291,7 @@ def test_what_is_seen_decides_between_poses() -> None:
 
 def test_a_thing_at_the_wall_may_lean_over_the_floor_in_the_image() -> None:
     inference = inference_of("die")
-    body = inference.bodies[0]
+    body = inference.poses.bodies[0]
     camera = CAMERAS["nominal"]
     mesh = placed(body, np.array([0.219, 0.0]), 0.0)
     depth, label = render(camera, [mesh])
@@ -325,57 +299,12 @@ def test_a_thing_at_the_wall_may_lean_over_the_floor_in_the_image() -> None:
     assert iou(support, label == 0) >= 0.93
 
 
-def test_a_blank_scene_hides_nothing() -> None:
-    camera = CAMERAS["tilted"]
-    depth, _ = render(camera, [])
-    nothing = np.zeros(camera.shape, dtype=bool)
-    for name in TARGETS:
-        assert not inference_of(name).infer(depth, nothing, camera).data.any()
-
-
-def test_pixels_without_a_reading_hide_nothing() -> None:
-    camera = CAMERAS["nominal"]
-    nothing = np.zeros(camera.shape, dtype=bool)
-    depth, label = render(camera, [roof(np.zeros(2), 0.06, 0.15)])
-    inference = inference_of("die")
-    assert inference.infer(depth, nothing, camera).support_size() > 1000
-    for gone in (0.0, np.nan, np.inf):
-        blind = np.where(label == 0, np.float32(gone), depth)
-        assert not inference.infer(blind, nothing, camera).data.any()
-
-
 def test_a_flat_target_is_found_where_flat_inference_finds_it() -> None:
     target = target_model("box_2to1")
     camera = CAMERAS["nominal"]
     depth, _ = render(camera, [roof(np.array([0.03, 0.01]), 0.01, 0.08)])
     nothing = np.zeros(camera.shape, dtype=bool)
-    config = ExactInferenceConfig(least_share=0.5)
-    resting = RestingInference(target, config).infer(depth, nothing, camera)
-    flat = ExactInference(target).infer(depth, nothing, camera)
+    config = GeometricConfig(least_share=0.5)
+    resting = resting_inference(target, config).infer(depth, nothing, camera)
+    flat = GeometricInference(target).infer(depth, nothing, camera)
     assert iou(resting.support(), flat.support()) >= 0.97
-
-
-def test_the_config_chooses() -> None:
-    target = TARGETS["die"]
-    flat = exact_model(target, ExactInferenceConfig())
-    assert isinstance(flat, ExactInference)
-    resting = exact_model(target, ExactInferenceConfig(poses="resting"))
-    assert isinstance(resting, RestingInference)
-    with pytest.raises(ValueError, match=r"'upright': choose one of flat, res"):
-        exact_model(target, ExactInferenceConfig(poses="upright"))
-
-
-def test_wrong_input_is_named() -> None:
-    inference = inference_of("die")
-    camera = CAMERAS["nominal"]
-    depth, label = render(camera, [])
-    with pytest.raises(ValueError, match=r"target mask is \(2, 3\)"):
-        inference.infer(depth, np.zeros((2, 3), bool), camera)
-    X_WC = camera.X_WC.copy()
-    X_WC[2, 3] = 0.05
-    low = PinholeCamera(512, 384, camera.intrinsics, X_WC)
-    depth = np.full_like(depth, 0.05)
-    with pytest.raises(ValueError, match="above the target"):
-        inference.infer(depth, label == 0, low)
-    with pytest.raises(ValueError, match="at least one rotation"):
-        RestingInference(TARGETS["die"], ExactInferenceConfig(rotations=0))

@@ -9,7 +9,7 @@ from pydrake.systems.sensors import ImageDepth32F
 from tests.ports import inputs_of
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution, TargetMask
-from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.system import OccupancyInference
 from xray_drake.scene.targets import target_model
 
@@ -19,7 +19,7 @@ SHAPE = (HEIGHT, WIDTH)
 
 @pytest.fixture(scope="module")
 def system() -> OccupancyInference:
-    inference = ExactInference(target_model("box_2to1"))
+    inference = GeometricInference(target_model("box_2to1"))
     return OccupancyInference(inference=inference, width=WIDTH, height=HEIGHT)
 
 
@@ -76,7 +76,7 @@ def test_ports_are_named(system: OccupancyInference) -> None:
 def test_output_is_what_the_inference_says(system: OccupancyInference) -> None:
     depth, mask = cluttered_depth(), np.zeros(SHAPE, bool)
     output = evaluate(system, context_with(system, depth, mask))
-    expected = ExactInference(target_model("box_2to1")).infer(
+    expected = GeometricInference(target_model("box_2to1")).infer(
         depth, mask, overhead_camera()
     )
     np.testing.assert_array_equal(output.data, expected.data)

@@ -118,13 +118,3 @@ def test_weights_of_both_parts_are_read(tmp_path: Path) -> None:
     save_weights(path, state, CARD)
     with pytest.raises(WeightsError, match="does not fit this version's"):
         load_inference(path, target_size=SIZE)
-
-
-def test_fusing_changes_nothing_of_the_network() -> None:
-    net = network()
-    before = {name: t.clone() for name, t in net.state_dict().items()}
-    fused = net.fused()
-    assert not any(isinstance(m, nn.BatchNorm2d) for m in fused.modules())
-    after = net.state_dict()
-    assert after.keys() == before.keys()
-    assert all(torch.equal(after[name], before[name]) for name in before)

@@ -22,7 +22,8 @@ from tests.policy.blocks import (
     target_block,
 )
 from xray_drake.messages import InstanceMasks
-from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.config import GeometricConfig
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.policy.beyond.memory import Belief, TargetMemory
 from xray_drake.policy.beyond.shifts import Look
 from xray_drake.scene.targets import target_model
@@ -266,7 +267,7 @@ def test_the_inference_excludes_what_is_remembered() -> None:
     before, after = plates((80, 100), (220, 300)), plates((80, 250), (220, 300))
     belief = memory.update(Belief(), before, camera)
     belief = memory.update(belief, after, camera)
-    inference = ExactInference(target, rotations=8)
+    inference = GeometricInference(target, GeometricConfig(rotations=8))
     nothing = np.zeros(camera.shape, bool)
     seen = inference.infer(after.depth, nothing, camera).support()
     known = inference.infer(

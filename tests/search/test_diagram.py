@@ -12,9 +12,9 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.flat import ExactInference
-from xray_drake.occupancy.geometric.resting import RestingInference
+from xray_drake.occupancy.geometric.flat import FlatPoses
+from xray_drake.occupancy.geometric.inference import GeometricInference
+from xray_drake.occupancy.geometric.resting import RestingPoses
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.targets import target_model
 from xray_drake.search import boxes
@@ -218,9 +218,9 @@ def test_a_bad_scenario_is_found_out_before_the_drop(
 @pytest.mark.parametrize(
     ("target", "occupancy", "poses", "kind"),
     [
-        ("cube", "geometric", "resting", RestingInference),
-        ("cube", "geometric", "flat", ExactInference),
-        ("box_2to1", "geometric_label", "flat", ExpectedLabel),
+        ("cube", "geometric", "resting", RestingPoses),
+        ("cube", "geometric", "flat", FlatPoses),
+        ("box_2to1", "geometric_label", "flat", FlatPoses),
     ],
 )
 def test_the_inference_is_the_scenarios(
@@ -231,4 +231,7 @@ def test_the_inference_is_the_scenarios(
     scenario.perception.geometric.poses = poses
     scenario.perception.weights = "nowhere.safetensors"
     check_scenario(scenario)
-    assert isinstance(boxes._inference(scenario, target_model(target)), kind)
+    inference = boxes._inference(scenario, target_model(target))
+    assert isinstance(inference, GeometricInference)
+    assert inference.method == occupancy
+    assert isinstance(inference.poses, kind)

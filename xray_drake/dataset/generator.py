@@ -18,8 +18,7 @@ from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
 from xray_drake.dataset.sample import Sample, depth_on_disk, problems
 from xray_drake.dataset.shards import ShardAttributes, write_shard
-from xray_drake.occupancy.geometric.flat import ExactInference
-from xray_drake.occupancy.label.exact_placement import exact_label
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.provenance import versions
 from xray_drake.scene.cameras import sample_camera
@@ -310,12 +309,17 @@ class SampleMaker:
             occupancy = label.distribution
             flat = heap.target_tilt < TILTED
             if self._manifest.options["label"] == "exact" and flat:
-                exact = exact_label(
-                    _inference(target.name),
-                    picture.depth_without_target,
-                    label.modal,
-                    picture.camera,
-                ).data
+                # ▲ The target placed exactly, with the rules of inference, in
+                # place of the paper's grid.
+                exact = (
+                    _inference(target.name)
+                    .infer(
+                        picture.depth_without_target,
+                        label.modal,
+                        picture.camera,
+                    )
+                    .data
+                )
                 occupancy = np.maximum(exact, _SMALLEST * label.amodal)
                 occupancy = occupancy / occupancy.max()
         sample = Sample(
@@ -389,8 +393,8 @@ def _heap_of(target: ObjectModel, X_WT: np.ndarray) -> Heap:
 
 
 @cache
-def _inference(target: str) -> ExactInference:
-    return ExactInference(target_model(target))
+def _inference(target: str) -> GeometricInference:
+    return GeometricInference(target_model(target))
 
 
 class _Clock:

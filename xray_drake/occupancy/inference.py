@@ -11,9 +11,8 @@ from xray_drake.choices import (
     WITHOUT_NETWORK,
     current_occupancy,
 )
-from xray_drake.occupancy.geometric.config import ExactInferenceConfig
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
-from xray_drake.occupancy.geometric.inference import exact_model
+from xray_drake.occupancy.geometric.config import GeometricConfig
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.learned.inference import (
     default_weights,
     load_inference,
@@ -28,7 +27,7 @@ def make_inference(
     name: str,
     target: ObjectModel | np.ndarray,
     *,
-    geometric: ExactInferenceConfig | None = None,
+    geometric: GeometricConfig | None = None,
     weights: Path | None = None,
     dtype: str = DTYPES[0],
     scaling: bool = True,
@@ -59,7 +58,7 @@ def make_inference(
             f"no inference is called {name!r}: choose one of "
             f"{', '.join(OCCUPANCIES)}"
         )
-    config = geometric or ExactInferenceConfig()
+    config = geometric or GeometricConfig()
     if name not in WITHOUT_NETWORK:
         return load_inference(
             weights or default_weights(),
@@ -75,6 +74,4 @@ def make_inference(
         raise ValueError(
             f"{name} inference needs the target's model, not its size alone"
         )
-    if name == "geometric_label":
-        return ExpectedLabel(target, config)
-    return exact_model(target, config)
+    return GeometricInference(target, config, name)

@@ -52,8 +52,10 @@ from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.actuation.ideal import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
-from xray_drake.occupancy.geometric.config import check_expected
-from xray_drake.occupancy.geometric.flat import ExactInferenceConfig
+from xray_drake.occupancy.geometric.config import (
+    GeometricConfig,
+    check_label,
+)
 from xray_drake.occupancy.learned.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.learned.inference import default_weights
 from xray_drake.occupancy.learned.weights import WeightsError, read_card
@@ -156,9 +158,7 @@ class PerceptionConfig:
     # where the processor has instructions for it, but not the same search.
     dtype: str = choice(DTYPES[0], DTYPES)
     # Settings of "geometric" and "geometric_label".
-    geometric: ExactInferenceConfig = field(
-        default_factory=ExactInferenceConfig
-    )
+    geometric: GeometricConfig = field(default_factory=GeometricConfig)
     # Settings of "hsv".
     hsv: HsvTargetConfig = field(default_factory=HsvTargetConfig)
     # Settings of "depth".
@@ -384,7 +384,7 @@ def check_scenario(
             )
     if perception.occupancy == "geometric_label":
         with _one_line(f"{source}: perception.", ValueError):
-            check_expected(perception.geometric)
+            check_label(perception.geometric)
     for wrong, said in (
         (
             scenario.scene.packaged_share > 0 and not scenario.scene.packaged,

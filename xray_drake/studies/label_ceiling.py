@@ -10,7 +10,7 @@ as if each were the true one, and scores against the dataset's label
 - *mean*: their mean, the answer of least expected squared error;
 - *best*: for each pixel the answer within 0.2 of most of them, as the metrics
   ask, where all that can be known of the pose is known;
-- *guess*: what ``ExpectedLabel`` answers, from the image alone;
+- *guess*: what ``geometric_label`` answers, from the image alone;
 - *network*, with weights: what that answers to the same images.
 
 The walk starts at the true pose and keeps the target's tilt, so that where
@@ -31,9 +31,8 @@ from xray_drake.dataset.manifest import read_manifest
 from xray_drake.dataset.reader import OccupancyDataset
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import VirtualTarget, make_target, target_depth
-from xray_drake.occupancy.geometric.expected import ExpectedLabel
+from xray_drake.occupancy.inference import make_inference
 from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
-from xray_drake.occupancy.learned.inference import load_inference
 from xray_drake.occupancy.metrics import TOLERANCE, PixelCounts, pixel_counts
 from xray_drake.provenance import current
 from xray_drake.scene.targets import target_model
@@ -168,10 +167,10 @@ def _score(item: Line, *, dataset: Path, weights: Path | None) -> Line:
         "best": ANSWERS[np.argmax(within, axis=0)],
     }
     seen = sample.depth, sample.target_modal, sample.camera
-    guess = ExpectedLabel(target_model(sample.target_name))
+    guess = make_inference("geometric_label", target_model(sample.target_name))
     answers["guess"] = guess.infer(*seen).data
     if weights is not None:
-        network = load_inference(weights, target_size=sample.target_size)
+        network = make_inference("learned", sample.target_size, weights=weights)
         answers["network"] = network.infer(*seen).data
     return {
         "target": sample.target_name,

@@ -17,8 +17,8 @@ from xray_drake.choices import TALL_TARGETS
 from xray_drake.dataset.pictures import Photographer, Picture
 from xray_drake.geometry.resting import RestingPose, resting_poses
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.occupancy.geometric.config import POSES, ExactInferenceConfig
-from xray_drake.occupancy.geometric.inference import exact_model
+from xray_drake.occupancy.geometric.config import POSES, GeometricConfig
+from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.occupancy.metrics import pixel_counts
 from xray_drake.scene.heap import Heap
@@ -79,8 +79,8 @@ def _measure(item: Line) -> Line:
         "pose": true,
     }
     for kind in POSES:
-        model = exact_model(
-            target_model(item["target"]), ExactInferenceConfig(kind)
+        model = GeometricInference(
+            target_model(item["target"]), GeometricConfig(kind)
         )
         # The first image compiles, or loads what is compiled.
         depth = picture.camera.plane_depth(0.0).astype(np.float32)

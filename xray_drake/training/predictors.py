@@ -9,7 +9,7 @@ import numpy as np
 from xray_drake.choices import DTYPES, TALL_TARGETS, WITHOUT_NETWORK
 from xray_drake.dataset.sample import Sample
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.inference import make_inference
 from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
@@ -50,7 +50,7 @@ def predictor(
             target_model(target)
             if isinstance(target, str)
             else np.array(target),
-            geometric=ExactInferenceConfig("resting" if tall else "flat"),
+            geometric=GeometricConfig("resting" if tall else "flat"),
             weights=weights,
             dtype=dtype,
             scaling=scaling,

@@ -18,8 +18,8 @@ from xray_drake.choices import TALL_TARGETS, TARGET_NAMES
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import is_virtual, virtual_target
 from xray_drake.occupancy.geometric.config import (
-    ExactInferenceConfig,
-    ExpectedLabelConfig,
+    GeometricConfig,
+    GeometricLabelConfig,
 )
 from xray_drake.occupancy.inference import make_inference
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from xray_drake.occupancy.system import OccupancyModel
 
 _SLACK = 0.05
-"""The network's answers are off by about this; see ``ExpectedLabelConfig``."""
+"""The network's answers are off by about this; see ``GeometricLabelConfig``."""
 
 _DENSITY = 1000.0
 """kg/m³; nothing depends on it."""
@@ -73,7 +73,7 @@ def _virtual_inference(sample: Sample) -> "OccupancyModel":
 
 
 def _inference(target: ObjectModel) -> "OccupancyModel":
-    label = ExpectedLabelConfig(slack=_SLACK)
+    label = GeometricLabelConfig(slack=_SLACK)
     return make_inference(
-        "geometric_label", target, geometric=ExactInferenceConfig(label=label)
+        "geometric_label", target, geometric=GeometricConfig(label=label)
     )

@@ -8,7 +8,7 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.geometric.standing import StandingTarget
-from xray_drake.occupancy.geometric.standing_kernels import View
+from xray_drake.occupancy.geometric.standing_drawing import View
 
 _COVERED = 0.8
 """A hidden target's surroundings hide at least this share of its area ..."""

@@ -1,4 +1,4 @@
-"""The numbers of exact inference."""
+"""The numbers of geometric inference."""
 
 from dataclasses import dataclass, field
 
@@ -9,8 +9,8 @@ POSES = ("flat", "resting")
 
 
 @dataclass
-class ExpectedLabelConfig:
-    """Numbers of ``ExpectedLabel``, chosen on validation objects."""
+class GeometricLabelConfig:
+    """Numbers of ``geometric_label``, chosen on validation objects."""
 
     # A pose shows the same as another where the two modal masks differ by no
     # more than this share of the observed one and this number of pixels. (The
@@ -36,12 +36,11 @@ class ExpectedLabelConfig:
 
 
 @dataclass
-class ExactInferenceConfig:
-    """Numbers of exact inference."""
+class GeometricConfig:
+    """Numbers of geometric inference."""
 
-    # How the target can lie: "flat", body z axis up (``ExactInference``), or
-    # "resting", on every face on which it does not topple
-    # (``RestingInference``).
+    # How the target can lie: "flat", body z axis up (``FlatPoses``), or
+    # "resting", on every face on which it does not topple (``RestingPoses``).
     poses: str = choice("flat", POSES)
     # "resting": ways to lie that are less probable than this are left out.
     least_share: float = number(0.03, "[0, 1)")
@@ -79,14 +78,14 @@ class ExactInferenceConfig:
     # floor, m: where it shows, the target is not.
     floor_height: float = number(0.002, "[0, 0.1]")
     # Numbers of "geometric_label", which guesses the paper's label.
-    label: ExpectedLabelConfig = field(default_factory=ExpectedLabelConfig)
+    label: GeometricLabelConfig = field(default_factory=GeometricLabelConfig)
 
 
-def check_expected(config: ExactInferenceConfig) -> None:
-    """Refuses what the label cannot be guessed with.
+def check_label(config: GeometricConfig) -> None:
+    """Refuses numbers that the label cannot be answered with.
 
     Args:
-        config: for ``ExpectedLabel``.
+        config: for ``geometric_label`` inference.
 
     Raises:
         ValueError: a number is out of range, or the label's orientations are

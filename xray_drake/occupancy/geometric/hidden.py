@@ -1,4 +1,4 @@
-"""Exact inference where nothing of the target is seen: on the floor plane."""
+"""Poses of a flat target that is hidden: counted on the floor plane."""
 
 from collections import OrderedDict
 
@@ -13,7 +13,7 @@ from xray_drake.geometry.floor_grid import (
     inside,
     pose_bounds,
 )
-from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.flat_target import FlatTarget
 from xray_drake.occupancy.geometric.spectra import (
     inverse,
@@ -48,7 +48,7 @@ class HiddenSearch:
         target: FlatTarget,
         angles: np.ndarray,
         floor: Floor,
-        config: ExactInferenceConfig,
+        config: GeometricConfig,
     ) -> None:
         """Draws the silhouettes.
 

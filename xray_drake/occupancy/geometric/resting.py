@@ -1,4 +1,4 @@
-"""▲ Exact inference for a target that is tall and may lie on any face.
+"""▲ The poses of a target that is tall and may lie on any face.
 
 The paper names such targets as its first failure: "objects that are
 significantly non-planar. Currently, the assumption that the object is flat can
@@ -13,15 +13,14 @@ import torch
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor
 from xray_drake.geometry.resting import resting_poses
+from xray_drake.occupancy.geometric.acceptance import SLACK, AcceptanceRule
 from xray_drake.occupancy.geometric.blocks import Blocks
-from xray_drake.occupancy.geometric.config import ExactInferenceConfig
-from xray_drake.occupancy.geometric.pose_counting import PoseCounting
+from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.pose_search import pose_range
-from xray_drake.occupancy.geometric.seen import AcceptanceRule
 from xray_drake.occupancy.geometric.standing import StandingTarget
+from xray_drake.occupancy.geometric.standing_drawing import Drawing, View
 from xray_drake.occupancy.geometric.standing_kernels import (
-    Drawing,
-    View,
+    PoseGrid,
     add_accepted,
     count_common,
     count_hidden,
@@ -40,65 +39,55 @@ _MARGIN = 0.2
 _COARSE = 3
 """Times as large are its blocks of candidates that are drawn once."""
 
-_SLACK = 0.05
-"""Candidates this close to acceptance are drawn once more, each where it is."""
-
 _EXACT_MOST = 20_000
-"""Up to so many of them."""
+"""Up to so many candidates close to acceptance are drawn where they are."""
 
 
-class RestingInference(PoseCounting):
-    """Finds where a target can be that rests on any of its faces.
+class RestingPoses:
+    """All resting poses, at every pixel and orientation.
 
-    As :class:`xray_drake.occupancy.geometric.flat.ExactInference`, with three
-    differences. The candidates are all resting poses
-    (:func:`xray_drake.geometry.resting.resting_poses`) at every pixel and
-    orientation; each counts with the probability of its pose and with the area
-    of the floor that its pixel stands for. What a candidate would show is
-    decided pixel by pixel, by the height of its own surface there in true
-    perspective, so that its sides count, and what only hides its foot does not
-    hide its top. And it must keep inside the bin's walls, while its image may
-    reach beyond the floor's, as the top of a tall thing at a wall does.
+    The poses are those of :func:`xray_drake.geometry.resting.resting_poses`;
+    each counts with its probability and with the area of the floor that its
+    pixel stands for. What a candidate would show is decided pixel by pixel, by
+    the height of its own surface there in true perspective, so that its sides
+    count, and what only hides its foot does not hide its top. And it must keep
+    inside the bin's walls, while its image may reach beyond the floor's, as
+    the top of a tall thing at a wall does.
 
     Where part of the target is seen, candidates are accepted relative to the
     best IoU over all resting poses: those that cannot explain what is seen are
     out.
+
+    Attributes:
+        bodies: the target in each of the poses.
+        lowest: least height over the poses, m.
+        tallest: greatest, m.
+        seen_at: the floor's height, and the greatest, m.
     """
 
     def __init__(
-        self,
-        target: ObjectModel,
-        config: ExactInferenceConfig | None = None,
+        self, target: ObjectModel, config: GeometricConfig, floor: Floor
     ) -> None:
         """Finds the resting poses.
 
         Args:
             target: what is searched for.
             config: the numbers.
+            floor: inside of the bin.
 
         Raises:
-            ValueError: no rotation, a step that is not positive, or a target
-                without a resting pose.
+            ValueError: a target without a resting pose.
         """
-        config = config or ExactInferenceConfig()
-        if config.rotations < 1 or config.seen_step <= 0:
-            raise ValueError(
-                f"need at least one rotation and a positive step, not "
-                f"{config.rotations} and {config.seen_step}"
-            )
-        x_low, x_high, y_low, y_high = config.floor
+        self.config, self._floor = config, floor
         self.bodies = tuple(
             StandingTarget(target.visual, target.p_OCom, pose)
             for pose in resting_poses(
                 target.visual, target.p_OCom, least_share=config.least_share
             )
         )
-        super().__init__(
-            config,
-            Floor((x_low, x_high), (y_low, y_high)),
-            lowest=min(body.height for body in self.bodies),
-            tallest=max(body.height for body in self.bodies),
-        )
+        self.lowest = min(body.height for body in self.bodies)
+        self.tallest = max(body.height for body in self.bodies)
+        self.seen_at: tuple[float, ...] = (0.0, self.tallest)
 
     def angles(self, body: StandingTarget) -> np.ndarray:
         """Returns the (k,) orientations of one that is hidden, rad."""
@@ -110,17 +99,10 @@ class RestingInference(PoseCounting):
         steps = 2 * np.pi * body.radius / self.config.seen_step
         return body.angles(rotations, max(1, int(np.ceil(steps / rotations))))
 
-    def _possible(self, mask: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-        planes = self._floor.half_planes(self.config.floor_tolerance)
-        result = np.zeros(camera.shape, dtype=bool)
-        for height in (0.0, self._tallest):
-            xy = camera.unproject(camera.plane_depth(height))[..., :2]
-            result |= (xy @ planes[:, :2].T <= planes[:, 2]).all(axis=-1)
-        return result & mask
-
-    def _count_hidden(
+    def count_hidden(
         self, heights: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
+        """Sums poses that show nothing; see ``inference.Poses``."""
         config, view = self.config, View.of(camera)
         observed = with_neighbours(heights)
         change = np.zeros((camera.height, camera.width + 1))
@@ -133,44 +115,42 @@ class RestingInference(PoseCounting):
             angles = self.angles(body)
             weights = blocks.weights(body, camera) / len(angles)
             for angle in angles:
-                drawing = body.drawing(angle, view, reach)
+                tried = _Tried(body, float(angle), reach, blocks)
                 count_hidden(
                     observed,
-                    blocks.corners,
-                    blocks.side,
-                    HIDDEN_STEP,
+                    tried.candidates(HIDDEN_STEP),
                     weights,
                     config.blank_tolerance,
-                    drawing,
-                    body.room(
-                        drawing.vertices, self._floor, config.floor_tolerance
-                    ),
+                    tried.drawing(view),
+                    tried.room(self._floor, config.floor_tolerance),
                     change,
                 )
         return _summed(change)
 
-    def _count_seen(
+    def count_seen(
         self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
-        view = View.of(camera)
-        # Where the target is observed, it shows.
-        shows = with_neighbours(np.where(mask, np.float32(-np.inf), heights))
+        """Sums poses that look as observed; see ``inference.Poses``."""
         running = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
         np.cumsum(mask, axis=1, out=running[:, 1:])
         first = self._first_tries(mask, camera)
-        seen = shows, running, self._typical(first, view), view
-        coarse = self._compare(first, *seen, HIDDEN_STEP, _MARGIN)
-        if coarse is None:
-            return mask.astype(np.float32)
-        fine = self._compare(self._finer(first, coarse), *seen, 1, _SLACK)
-        if fine is None:
-            return mask.astype(np.float32)
-        exact = [tried.alone(accepted) for tried, accepted in fine]
-        if sum(len(tried.blocks.corners) for tried in exact) > _EXACT_MOST:
+        view = View.of(camera)
+        typical = self._typical(first, view)
+        seen = _Seen(
+            # Where the target is observed, it shows.
+            with_neighbours(np.where(mask, np.float32(-np.inf), heights)),
+            running,
+            AcceptanceRule(self.config, int(running[:, -1].sum()), typical),
+            view,
+        )
+        coarse = self._compare(first, seen, HIDDEN_STEP, _MARGIN)
+        fine = self._compare(self._finer(first, coarse), seen, 1, SLACK)
+        tries = [tried.alone(accepted) for tried, accepted in fine]
+        if sum(len(tried.blocks.corners) for tried in tries) > _EXACT_MOST:
             # So many that none decides alone.
-            exact = [tried for tried, _ in fine]
-        chosen = self._compare(exact, *seen, 1, 0.0)
-        if chosen is None:
+            tries = [tried for tried, _ in fine]
+        chosen = self._compare(tries, seen, 1, 0.0)
+        if not chosen:
             return mask.astype(np.float32)
         change = np.zeros((camera.height, camera.width + 1))
         for tried, accepted in chosen:
@@ -178,9 +158,7 @@ class RestingInference(PoseCounting):
             add_accepted(
                 accepted,
                 tried.blocks.weights(tried.body, camera) / turns,
-                tried.blocks.corners,
-                tried.blocks.side,
-                1,
+                tried.candidates(1),
                 tried.drawing(view),
                 change,
             )
@@ -249,51 +227,34 @@ class RestingInference(PoseCounting):
         return finer
 
     def _compare(
-        self,
-        tries: list["_Tried"],
-        shows: np.ndarray,
-        running: np.ndarray,
-        typical: float,
-        view: View,
-        step: int,
-        slack: float,
-    ) -> list[tuple["_Tried", np.ndarray]] | None:
+        self, tries: list["_Tried"], seen: "_Seen", step: int, slack: float
+    ) -> list[tuple["_Tried", np.ndarray]]:
         """Compares candidates with the observed mask.
 
         Args:
             tries: bodies in an orientation, and where.
-            shows: heights of the observed surface, −inf in the mask, as from
-                ``with_neighbours``.
-            running: (H, W + 1) sums of the mask along each row.
-            typical: area of a silhouette, pixels.
-            view: the camera.
+            seen: what is observed.
             step: between candidates, pixels.
             slack: taken off each share that is asked for.
 
         Returns:
             Those with accepted candidates, and (b, n, n) bool which these are;
-            None where none meets the mask.
+            none where none meets the mask.
         """
-        config, size = self.config, int(running[:, -1].sum())
+        config, rule, size = self.config, seen.rule, seen.rule.size
         counts = [
             count_common(
-                running,
-                tried.blocks.corners,
-                tried.blocks.side,
-                step,
-                tried.drawing(view),
+                seen.running,
+                tried.candidates(step),
+                tried.drawing(seen.view),
                 tried.room(self._floor, config.floor_tolerance),
             )
             for tried in tries
         ]
         most = max((int(common.max()) for common in counts), default=0)
         if most <= 0:
-            return None
-        rule = AcceptanceRule(config, size, typical)
-        least = (config.accept_coverage - slack) * most
-        if not rule.fragment:
-            share = config.accept_iou - slack
-            least = min(least, share * config.trusted_iou * size)
+            return []
+        least = rule.least_common(most, slack)
         # The most promising first: others are then soon found to be worse.
         order = sorted(range(len(tries)), key=lambda k: -int(counts[k].max()))
         order = [k for k in order if counts[k].max() >= least]
@@ -302,22 +263,20 @@ class RestingInference(PoseCounting):
                 size,
                 config.accept_iou - slack,
                 config.trusted_iou,
-                (config.accept_spill + slack) * typical,
+                (config.accept_spill + slack) * rule.typical,
                 rule.fragment,
             ]
         )
         best = np.array([0.0, np.inf])
         shown = [
             count_shown(
-                shows,
+                seen.shows,
                 counts[k],
                 least,
-                tries[k].blocks.corners,
-                tries[k].blocks.side,
-                step,
+                tries[k].candidates(step),
                 limits,
                 best,
-                tries[k].drawing(view),
+                tries[k].drawing(seen.view),
             )
             for k in order
         ]
@@ -329,16 +288,15 @@ class RestingInference(PoseCounting):
             # Perhaps, looked at more closely, the best can be trusted.
             iou = common / (area + (size - common))
             accepted |= iou >= (config.accept_iou - slack) * iou.max()
-        found = []
-        first = 0
-        for k, candidates in zip(order, near, strict=True):
-            last = first + int(np.count_nonzero(candidates))
-            chosen: np.ndarray = np.zeros(candidates.shape, dtype=bool)
-            np.place(chosen, candidates, accepted[first:last].numpy())
-            first = last
-            if chosen.any():
-                found.append((tries[k], chosen))
-        return found
+        ends = np.cumsum([np.count_nonzero(candidates) for candidates in near])
+        parts = np.split(accepted.numpy(), ends[:-1])
+        for candidates, part in zip(near, parts, strict=True):
+            candidates[candidates] = part
+        return [
+            (tries[k], chosen)
+            for k, chosen in zip(order, near, strict=True)
+            if chosen.any()
+        ]
 
     def _typical(self, tries: list["_Tried"], view: View) -> float:
         """Returns the mean area of a silhouette, pixels.
@@ -359,6 +317,24 @@ class RestingInference(PoseCounting):
                 tried.body.probability / len(self.angles(tried.body))
             )
         return float(np.average(areas, weights=weights))
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What is observed of a target that is seen.
+
+    Attributes:
+        shows: heights of the observed surface, −inf in the mask, as from
+            ``with_neighbours``.
+        running: (H, W + 1) sums of the mask along each row.
+        rule: which candidates are accepted.
+        view: the camera.
+    """
+
+    shows: np.ndarray
+    running: np.ndarray
+    rule: AcceptanceRule
+    view: View
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,6 +363,10 @@ class _Tried:
         corners = self.blocks.corners[block] + within
         blocks = Blocks(np.ascontiguousarray(corners), 1)
         return _Tried(self.body, self.angle, self.reach, blocks)
+
+    def candidates(self, step: int) -> PoseGrid:
+        """Returns what the loops take them as, ``step`` pixels apart."""
+        return PoseGrid(self.blocks.corners, self.blocks.side, step)
 
     def room(self, floor: Floor, slack: float) -> np.ndarray:
         """Returns (4,) bounds of its axis; see ``StandingTarget.room``."""

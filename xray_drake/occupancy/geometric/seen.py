@@ -1,10 +1,8 @@
-"""Exact inference where part of the target is seen: in the image itself.
+"""Poses of a flat target that is partly seen: counted in the image itself.
 
 Near the place where the target is seen, moving it over the floor moves its
 silhouette by whole pixels without changing it by more than a fraction of one.
 """
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -12,20 +10,18 @@ import torch
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import Spans, convex_spans
-from xray_drake.occupancy.geometric.config import ExactInferenceConfig
+from xray_drake.occupancy.geometric.acceptance import SLACK, AcceptanceRule
+from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.flat_target import FlatTarget
 from xray_drake.occupancy.geometric.pose_search import PoseSearch, paste
 from xray_drake.occupancy.geometric.spectra import inverse
-
-_SLACK = 0.05
-"""Candidates this close to acceptance are drawn once more, exactly."""
 
 _EXACT_WORK = 1_000_000
 """Rows times corners of all of them up to which that is done: where more are
 near, none decides alone."""
 
 
-def count_seen(search: PoseSearch, config: ExactInferenceConfig) -> np.ndarray:
+def count_seen(search: PoseSearch, config: GeometricConfig) -> np.ndarray:
     """Counts the accepted poses of a target that is seen, per pixel.
 
     Args:
@@ -48,7 +44,7 @@ def count_seen(search: PoseSearch, config: ExactInferenceConfig) -> np.ndarray:
     chosen = (most >= rule.least_common(float(most.max()))).nonzero()[:, 0]
     common = search.common[chosen]
     area = search.areas(chosen)
-    near = rule.accepted(common, area, slack=_SLACK)
+    near = rule.accepted(common, area, slack=SLACK)
     if target.convex:
         poses = near.nonzero()
         work = len(poses) * (2 * search.reach + 1) * search.corners
@@ -76,57 +72,6 @@ def count_seen(search: PoseSearch, config: ExactInferenceConfig) -> np.ndarray:
     return paste(
         inverse(total, shape).round_().numpy(), search.window, camera.shape
     )
-
-
-@dataclass(frozen=True)
-class AcceptanceRule:
-    """Which candidates are accepted.
-
-    Attributes:
-        config: the numbers.
-        size: pixels of the observed mask.
-        typical: pixels of a silhouette.
-    """
-
-    config: ExactInferenceConfig
-    size: int
-    typical: float
-
-    @property
-    def fragment(self) -> bool:
-        """The mask is too small to measure an IoU by."""
-        return self.size < self.config.fragment_share * self.typical
-
-    def least_common(self, most: float) -> float:
-        """Returns a bound of what accepted candidates share with the mask."""
-        by_coverage = (self.config.accept_coverage - _SLACK) * most
-        if self.fragment:
-            return by_coverage
-        share = self.config.accept_iou - _SLACK
-        return min(by_coverage, share * self.config.trusted_iou * self.size)
-
-    def accepted(
-        self, common: torch.Tensor, area: torch.Tensor, slack: float = 0.0
-    ) -> torch.Tensor:
-        """Returns which candidates are accepted, (n,) bool.
-
-        Args:
-            common: (n,) pixels of each predicted modal mask within the
-                observed.
-            area: (n,) pixels of each predicted modal mask.
-            slack: taken off each share that is asked for.
-        """
-        config = self.config
-        if not self.fragment:
-            iou = common / (area + (self.size - common))
-            best = iou.max()
-            if best >= config.trusted_iou:
-                return iou >= (config.accept_iou - slack) * best
-        share = config.accept_coverage - slack
-        accepted = common >= share * common.max()
-        spill = area - common
-        more = (config.accept_spill + slack) * self.typical
-        return accepted & (spill <= spill[accepted].min() + more)
 
 
 def _spans(

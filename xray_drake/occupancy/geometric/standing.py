@@ -10,7 +10,7 @@ from xray_drake.geometry.resting import (
     standing,
     turns_into_itself,
 )
-from xray_drake.occupancy.geometric.standing_kernels import (
+from xray_drake.occupancy.geometric.standing_drawing import (
     Drawing,
     View,
     draw_body,

@@ -95,23 +95,10 @@ def occupancy_label(
             that make no candidates.
     """
     config = config or LabelConfig()
-    images = {
-        "target's depth image": np.asarray(target_depth),
-        "scene's depth image": np.asarray(scene_depth),
-    }
-    check_shapes(images, camera)
-    # Copies: to numba, an array that may not be written is another type.
-    target, scene = (
-        np.array(depth_readings(image, camera), order="C")
-        for image in images.values()
+    target, scene = _checked(
+        target_depth, scene_depth, observed, camera, config
     )
-    _check(target, scene, observed, camera, config)
     amodal = has_reading(target)
-    if not amodal.any():
-        raise ValueError(
-            "the target's image is empty: no pixel has a depth, so the target "
-            "is out of the camera's view"
-        )
     pivot = _pivot(p_WT, camera)
     outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
     relative, floor = relative_depths(
@@ -123,15 +110,9 @@ def occupancy_label(
     )
     computed = _modal(target, scene, amodal, config.depth_tolerance)
     modal = computed if observed is None else np.array(observed, dtype=bool)
-
-    rasters, corner = _turned(target, _box(amodal), floor, pivot, config)
-    runs, starts = find_runs(rasters)
     box = _box(modal) if modal.any() else None
-    first, last = _shifts(rasters, corner, pivot, camera, config.step, box)
+    candidates = _candidates(target, _box(amodal), floor, pivot, box, config)
     change = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
-    candidates = Candidates(
-        rasters, runs, starts, first, last, corner, config.step
-    )
     if box is None:
         accepted = count_hidden(relative, candidates, change)
     else:
@@ -142,64 +123,80 @@ def occupancy_label(
     if true_pose and (box is not None or (computed != amodal).any()):
         accepted[0] += 1
         total += amodal
-    distribution = total.astype(np.float32)
-    largest = float(distribution.max())
-    if largest > 0:
-        distribution /= np.float32(largest)
+    largest = float(total.max())
+    distribution = total.astype(np.float32) / np.float32(max(largest, 1.0))
     return Label(distribution, amodal, modal, accepted, largest)
 
 
-def _turned(
+def _candidates(
     target: np.ndarray,
-    box: np.ndarray,
+    own: np.ndarray,
     floor: np.ndarray,
     pivot: np.ndarray,
+    reached: np.ndarray | None,
     config: LabelConfig,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Turns the target to all orientations.
+) -> Candidates:
+    """Turns the target to all orientations, and finds where each may be.
 
     Args:
         target: (H, W) z-depth, m.
-        box: (2, 2) first and last u, v of its pixels.
+        own: (2, 2) first and last u, v of its pixels.
         floor: (H, W) z-depth of the floor, m.
         pivot: (2,) u, v of the turning point.
-        config: the number of orientations.
-
-    Returns:
-        (k, side, side) depth relative to the floor's, m, NaN beside the
-        target; (2,) u, v of their first pixel.
+        reached: (2, 2) first and last u, v of what candidates must reach, if
+            anything.
+        config: the number of orientations, and the shifts.
     """
-    farthest = np.abs(box - pivot).max(axis=0)
+    farthest = np.abs(own - pivot).max(axis=0)
     reach = int(np.ceil(np.hypot(*farthest))) + 1
     corner = np.floor(pivot).astype(np.int64) - reach
     angles = 2 * np.pi * np.arange(config.rotations) / config.rotations
     # Rounded, so that a quarter of a turn is one exactly.
     turns = np.stack([np.cos(angles), np.sin(angles)], axis=1).round(12)
-    return (
-        rotate_target(target, floor, pivot, turns, corner, 2 * reach + 2),
-        corner,
+    rasters = rotate_target(target, floor, pivot, turns, corner, 2 * reach + 2)
+    size = np.array(target.shape[::-1])
+    shifts = _shifts(rasters, corner, pivot, size, config.step, reached)
+    return Candidates(
+        rasters, *find_runs(rasters), *shifts, corner, config.step
     )
 
 
-def _check(
-    target: np.ndarray,
-    scene: np.ndarray,
+def _checked(
+    target_depth: np.ndarray,
+    scene_depth: np.ndarray,
     observed: np.ndarray | None,
     camera: PinholeCamera,
     config: LabelConfig,
-) -> None:
-    depths = {"target's depth image": target, "scene's depth image": scene}
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns both (H, W) float32 depth images, m, or refuses them."""
+    images = {
+        "target's depth image": np.asarray(target_depth),
+        "scene's depth image": np.asarray(scene_depth),
+    }
     if observed is not None:
-        check_shapes({"observed modal mask": np.asarray(observed)}, camera)
+        images["observed modal mask"] = np.asarray(observed)
+    check_shapes(images, camera)
+    images.pop("observed modal mask", None)
+    # Copies: to numba, an array that may not be written is another type.
+    depths = {
+        name: np.array(depth_readings(image, camera), order="C")
+        for name, image in images.items()
+    }
     for name, image in depths.items():
         if (image < 0).any():
             raise ValueError(
                 f"the {name} has a negative depth ({np.nanmin(image):.3f} m)"
             )
+    target, scene = depths.values()
     if np.isnan(target).any():
         raise ValueError(
             "the target's depth image has NaN; where there is no target it "
             "must be 0 or inf"
+        )
+    if not has_reading(target).any():
+        raise ValueError(
+            "the target's image is empty: no pixel has a depth, so the target "
+            "is out of the camera's view"
         )
     if len(config.floor) != 4:
         raise ValueError(
@@ -211,6 +208,7 @@ def _check(
             f"need a step of at least one pixel and at least one rotation, "
             f"not {config.step} and {config.rotations}"
         )
+    return target, scene
 
 
 def _pivot(p_WT: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -255,7 +253,7 @@ def _shifts(
     rasters: np.ndarray,
     corner: np.ndarray,
     pivot: np.ndarray,
-    camera: PinholeCamera,
+    size: np.ndarray,
     step: int,
     box: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +263,7 @@ def _shifts(
         rasters: (k, side, side), NaN beside the mask.
         corner: (2,) u, v of their first pixel.
         pivot: (2,) u, v of the turning point; its pixel keeps in the image too.
-        camera: says how large the image is.
+        size: (2,) width and height of the image.
         step: pixels.
         box: first and last u, v of what the candidates must reach, if any.
 
@@ -273,7 +271,6 @@ def _shifts(
         (k, 2) first and (k, 2) last shift in u and in v, in steps; last is
         less than first where there is none.
     """
-    size = np.array([camera.width, camera.height])
     covered = ~np.isnan(rasters)
     reference = np.array([nearest(value) for value in pivot])
     first = np.empty((len(rasters), 2), dtype=np.int64)

@@ -1,24 +1,19 @@
 """The paper's label, guessed from the image alone and without a network."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.geometric.config import (
-    ExactInferenceConfig,
-    ExpectedLabelConfig,
-    check_expected,
+    GeometricConfig,
+    GeometricLabelConfig,
 )
-from xray_drake.occupancy.geometric.flat import ExactInference
+from xray_drake.occupancy.geometric.flat import FlatPoses
 from xray_drake.occupancy.geometric.label_mixture import (
     best_answer,
     label_histogram,
 )
 from xray_drake.occupancy.geometric.pose_search import PoseSearch
 from xray_drake.occupancy.label.config import LabelConfig
-from xray_drake.scene.object_model import ObjectModel
 from xray_drake.seeding import stream
 
 _COVERS = 0.8
@@ -29,75 +24,53 @@ _LEAST_WEIGHT = 1e-4
 """Labels less probable than this are left out."""
 
 
-class ExpectedLabel(ExactInference):
+def answer_label(
+    poses: FlatPoses,
+    heights: np.ndarray,
+    mask: np.ndarray,
+    camera: PinholeCamera,
+    config: GeometricConfig,
+) -> np.ndarray:
     """Answers with the label that the paper's metrics are expected to like.
 
-    ``ExactInference`` counts each pose that may explain the image. The label,
-    made by who knows the true pose, counts those that lie on a lattice through
-    it, 8 pixels and 22.5° apart. Whoever sees the image alone knows neither,
-    but all poses on one lattice give the same label. So the poses that show
-    what is observed are sorted by lattices; each lattice's label is as
-    probable as it is that the true pose is one of its own; and for each pixel
-    the answer is what is close to most of these labels.
+    The label, made from the true pose, counts the poses that lie on a lattice
+    through it, 8 pixels and 22.5° apart. The image alone tells neither, but
+    all poses on one lattice give the same label. So the poses that show what
+    is observed are sorted by lattices; each lattice's label is as probable as
+    it is that the true pose is one of its own; and for each pixel the answer
+    is what is close to most of these labels.
 
     Where the camera has no reading, it does not see the target either: such a
-    pixel speaks neither for a pose nor against one.
+    pixel contributes no evidence.
 
-    Of a hidden target so many lattices are possible that the sum over all
-    poses, with a lower peak, stands for each.
+    Args:
+        poses: of the target.
+        heights: (H, W) float32 of the observed surface, m; −inf where there is
+            no reading.
+        mask: (H, W) bool, where the target is seen; not blank.
+        camera: of both.
+        config: the numbers.
+
+    Returns:
+        (H, W) float32 in [0, 1]; the mask itself where no pose meets it.
     """
-
-    method = "geometric_label"
-
-    def __init__(
-        self, target: ObjectModel, config: ExactInferenceConfig | None = None
-    ) -> None:
-        """Prepares the silhouettes.
-
-        Args:
-            target: what is searched for.
-            config: the numbers.
-
-        Raises:
-            ValueError: see :class:`ExactInference` and
-                :func:`~xray_drake.occupancy.geometric.config.check_expected`.
-        """
-        config = config or ExactInferenceConfig()
-        check_expected(config)
-        # The label's candidates of a hidden target show no pixel.
-        super().__init__(target, replace(config, blank_tolerance=0.0))
-
-    def _count_seen(
-        self, heights: np.ndarray, mask: np.ndarray, camera: PinholeCamera
-    ) -> np.ndarray:
-        search = self._search(heights, mask, camera)
-        return expected_label(search, self._turn, self.config.label)
-
-    def _would_show(self, heights: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        return super()._would_show(heights, mask) & (heights > -np.inf) | mask
-
-    @property
-    def _turn(self) -> int:
-        """Orientations between two of a label's, 1 at the least."""
-        angles = self._seen_angles
-        if len(angles) < 2:
-            return 1
-        apart = 2 * np.pi / LabelConfig().rotations
-        return max(1, round(apart / (angles[1] - angles[0])))
-
-    def _scaled(
-        self, total: np.ndarray, mask: np.ndarray
-    ) -> OccupancyDistribution:
-        if mask.any():
-            return self._distribution(total)
-        scaled = super()._scaled(total, mask)
-        return self._distribution(self.config.label.peak * scaled.data)
+    would_show = (heights < poses.target.top) & (heights > -np.inf) | mask
+    search = poses.search(would_show, mask, camera)
+    return label_of_poses(search, _turn(poses.seen_angles), config.label)
 
 
-def expected_label(
-    search: PoseSearch, turn: int, config: ExpectedLabelConfig
+def _turn(angles: np.ndarray) -> int:
+    """Returns the orientations between two of a label's, 1 at the least."""
+    if len(angles) < 2:
+        return 1
+    apart = 2 * np.pi / LabelConfig().rotations
+    return max(1, round(apart / (angles[1] - angles[0])))
+
+
+def label_of_poses(
+    search: PoseSearch, turn: int, config: GeometricLabelConfig
 ) -> np.ndarray:
-    """Guesses the label of a target that is seen; see :class:`ExpectedLabel`.
+    """Guesses the label of a target that is seen; see :func:`answer_label`.
 
     Args:
         search: what its poses would show.
@@ -143,7 +116,7 @@ def expected_label(
 
 
 def _alike(
-    search: PoseSearch, size: int, config: ExpectedLabelConfig
+    search: PoseSearch, size: int, config: GeometricLabelConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the poses that show what is observed.
 
