@@ -184,6 +184,7 @@ class DrivenCell:
         *models: ObjectModel,
         cup: bool = False,
         camera: bool = False,
+        carrier: str = "wrist",
         time_step: float = STEP,
         sampled_ports: bool = True,
     ) -> None:
@@ -193,7 +194,7 @@ class DrivenCell:
         config.use_sampled_output_ports = sampled_ports
         plant, scene_graph = add_plant(builder, config)
         add_bin(plant)
-        gripper = add_gripper(plant)
+        gripper = add_gripper(plant, carrier=carrier)
         self.items = {model.name: add_object(plant, model) for model in models}
         for item in self.items.values():
             height = item.model.extents[2] / 2
@@ -243,7 +244,7 @@ class DrivenCell:
     def want(self, q: np.ndarray, v: np.ndarray | None = None) -> None:
         """Sets the wrist's desired state."""
         self.q = q
-        self.fix("wrist", np.r_[q, np.zeros(6) if v is None else v])
+        self.fix("wrist", np.r_[q, np.zeros(len(q)) if v is None else v])
 
     def at(self, X_WG: np.ndarray, X_BG: np.ndarray | None = None) -> None:
         """Puts a frame of the gripper, by default the jaw, at a pose."""

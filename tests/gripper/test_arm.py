@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from pydrake.geometry import SceneGraph
-from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from tests.gripper.cells import Alone, ContactCell, in_tote, make_gripper
@@ -15,14 +13,10 @@ from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
-from xray_drake.gripper.yumi import YumiGripper, add_gripper
+from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import GraspKind, Outcome
-from xray_drake.scene.cameras import add_camera, nominal_camera
 from xray_drake.scene.plant import (
     TOTE_POSITION,
-    add_bin,
-    add_plant,
-    default_plant_config,
 )
 from xray_drake.scene.targets import target_model
 
@@ -183,25 +177,6 @@ def test_two_contexts_of_one_controller_take_turns(
     turns = [[desired(one, time) for one in both] for time in times]
     np.testing.assert_array_equal(np.swapaxes(turns, 0, 1), singly)
     assert not np.array_equal(singly[0], singly[1])
-
-
-def test_at_home_it_is_out_of_the_cameras_view() -> None:
-    builder = DiagramBuilder()
-    scene_graph: SceneGraph
-    plant, scene_graph = add_plant(builder, default_plant_config())
-    add_bin(plant)
-    add_gripper(plant, carrier="arm")
-    plant.Finalize()
-    sensor, _ = add_camera(builder, scene_graph, nominal_camera())
-    builder.ExportOutput(sensor.label_image_output_port(), "label")
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    labels = diagram.GetOutputPort("label").Eval(context).data
-    bin_label = int(plant.GetBodyByName("bin").index())
-    assert set(np.unique(labels)) <= {
-        bin_label,
-        *(label for label in np.unique(labels) if label > 32000),
-    }
 
 
 def test_a_grasp_from_start_to_end(gripper: YumiGripper) -> None:

@@ -12,6 +12,7 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import RigidBody
 
 from tests.gripper.cells import STEP, DrivenCell, block, downwards
+from xray_drake.choices import CARRIERS
 from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
     load_gripper_geometry,
@@ -248,11 +249,15 @@ def test_it_stays_where_it_is() -> None:
     np.testing.assert_allclose(cell.fingers, 0, atol=1e-6)
 
 
-def test_at_home_the_camera_does_not_see_it() -> None:
-    cell = Cell(camera=True)
-    hand = cell.plant.GetBodyIndices(cell.gripper.finger_instance)
-    arm = cell.plant.GetBodyIndices(cell.gripper.carrier_instance)
-    labels = [int(index) for index in [*hand, *arm]]
+@pytest.mark.parametrize("carrier", CARRIERS)
+def test_at_home_the_camera_does_not_see_it(carrier: str) -> None:
+    cell = Cell(camera=True, carrier=carrier)
+    gripper, plant = cell.gripper, cell.plant
+    labels = [
+        int(index)
+        for instance in (gripper.finger_instance, gripper.carrier_instance)
+        for index in plant.GetBodyIndices(instance)
+    ]
     port = cell.diagram.GetOutputPort("label")
     assert not np.isin(port.Eval(cell.context).data, labels).any()
     cell.at(jaw_at(0.1))
