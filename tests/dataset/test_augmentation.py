@@ -13,6 +13,7 @@ from xray_drake.dataset.augmentation import (
     flip,
     resize_mask,
     rotate,
+    sense,
 )
 from xray_drake.dataset.images import LabelledImages
 from xray_drake.dataset.sample import Sample
@@ -122,7 +123,8 @@ def test_turning_back_gives_the_middle_back(angle: float) -> None:
 def test_what_is_missing_stays_missing(images: LabelledImages) -> None:
     holes = images.depth.copy()
     holes[10:14, 20:30] = 0
-    noisy = DepthNoise()(replace(images, depth=holes), np.random.default_rng(0))
+    images = replace(images, depth=holes)
+    noisy = sense(images, DepthNoise(), np.random.default_rng(0))
     assert not noisy.depth[holes == 0].any()
     _assert_same(replace(noisy, depth=images.depth), images)
 

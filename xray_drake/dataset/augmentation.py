@@ -48,12 +48,20 @@ class Augmentation:
                 images, rng.uniform(-self.max_rotation, self.max_rotation)
             )
         if self.noise is not None:
-            images = self.noise(images, rng)
+            images = sense(images, self.noise, rng)
         if self.mask_noise > 0:
             images = resize_mask(
                 images, int(rng.integers(-self.mask_noise, self.mask_noise + 1))
             )
         return images
+
+
+def sense(
+    images: LabelledImages, noise: DepthNoise, rng: np.random.Generator
+) -> LabelledImages:
+    """Returns images with a noisy depth; all else is as it was."""
+    depth = noise.noisy(images.depth, images.focal_length, rng)
+    return replace(images, depth=depth)
 
 
 def flip(

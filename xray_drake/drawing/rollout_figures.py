@@ -86,14 +86,15 @@ def success_figure(rates: Mapping[str, Sequence[float]]) -> Figure:
         raise ValueError("a figure needs at least one policy")
     figure = plain_figure(7.0, 4.4)
     axis = figure.subplots()
-    for i, ((name, values), color) in enumerate(
-        zip(rates.items(), _colors(len(rates)), strict=True)
-    ):
+    colors = dict(zip(rates, _colors(len(rates)), strict=True))
+    # The best on top of the legend, as the lines are at the right.
+    for name in sorted(rates, key=lambda name: -rates[name][-1]):
+        values = rates[name]
         axis.plot(
             np.arange(1, len(values) + 1),
             values,
-            color=color,
-            marker=_MARKERS[i % len(_MARKERS)],
+            color=colors[name],
+            marker=_MARKERS[list(rates).index(name) % len(_MARKERS)],
             markersize=5,
             label=name,
         )
@@ -104,14 +105,7 @@ def success_figure(rates: Mapping[str, Sequence[float]]) -> Figure:
     axis.set_ylabel("target out within so many actions")
     axis.grid(alpha=0.3)
     _plain(axis)
-    handles, labels = axis.get_legend_handles_labels()
-    # The best on top, as the lines are at the right.
-    order = sorted(
-        range(len(labels)), key=lambda i: -list(rates.values())[i][-1]
-    )
     axis.legend(
-        [handles[i] for i in order],
-        [labels[i] for i in order],
         loc="center left",
         bbox_to_anchor=(1.01, 0.5),
         frameon=False,

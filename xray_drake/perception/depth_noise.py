@@ -1,31 +1,13 @@
 """What a structured-light sensor makes of a depth image."""
 
 import math
-from dataclasses import Field, dataclass, replace
-from typing import Any, ClassVar, Protocol, TypeVar
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from xray_drake.configuration import number
 from xray_drake.geometry.readings import has_reading
-
-
-class DepthObservation(Protocol):
-    """A dataclass that holds a depth image and what it takes to disturb it."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    @property
-    def depth(self) -> np.ndarray:
-        """(H, W) z-depth, m."""
-
-    @property
-    def focal_length(self) -> float:
-        """Pixels."""
-
-
-Observation = TypeVar("Observation", bound=DepthObservation)
 
 
 @dataclass
@@ -51,14 +33,6 @@ class DepthNoise:
     blob_radius: float = number(8.0, "[0, 1000]")
     # Share of single pixels without a reading.
     speckle: float = number(0.003, "[0, 1]")
-
-    def __call__(
-        self, images: Observation, rng: np.random.Generator
-    ) -> Observation:
-        """Returns images with a noisy depth; all else is as it was."""
-        return replace(
-            images, depth=self.noisy(images.depth, images.focal_length, rng)
-        )
 
     def noisy(
         self, depth: np.ndarray, focal_length: float, rng: np.random.Generator

@@ -73,4 +73,4 @@ class Disturbance:
         rng = stream(
             self.seed, "sensor", key.heap_seed, key.view, key.num_dropped
         )
-        return noise(images, rng).depth
+        return noise.noisy(images.depth, images.focal_length, rng)

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from xray_drake.configuration import SEEDS, choice, count, number, number_list
-from xray_drake.dataset.augmentation import DepthNoise, resize_mask
+from xray_drake.dataset.augmentation import DepthNoise, resize_mask, sense
 from xray_drake.dataset.images import labelled_images
 from xray_drake.dataset.manifest import DatasetError
 from xray_drake.dataset.reader import is_held_out
@@ -300,7 +300,7 @@ def sample_item(
     seen = labelled_images(sample)
     occupancy = seen.occupancy if given else expected_occupancy(sample)
     if rng.random() < config.noisy:
-        seen = config.noise(seen, rng)
+        seen = sense(seen, config.noise, rng)
     if rng.random() < config.mask_errors and np.count_nonzero(seen.modal) > 40:
         changed = resize_mask(seen, int(rng.choice([-1, 1])))
         # A sliver that is lost would have another label.
