@@ -59,12 +59,6 @@ class Cubes:
     def height(self, name: str) -> float:
         return float(self.pose(name)[2, 3])
 
-    def speed(self, name: str) -> float:
-        joint = self.items[name].joint
-        return float(
-            np.linalg.norm(joint.get_translational_velocity(self.context))
-        )
-
     def put(self, name: str, *p_WO: float) -> None:
         """Sets a cube's position, upright and as fast as it was."""
         self.items[name].joint.SetPose(self.context, RigidTransform(list(p_WO)))
@@ -102,10 +96,3 @@ class Cubes:
                 for b in shapes[other]
             )
         }
-
-    def surfaces(self) -> int:
-        """The number of contact surfaces computed at this instant."""
-        results = self.plant.get_contact_results_output_port().Eval(
-            self.context
-        )
-        return int(results.num_hydroelastic_contacts())

@@ -14,11 +14,9 @@ every other. ``python -m tests.scene.likeness`` measures all of them;
 ``--write`` draws the table ``families/draws.json`` again.
 """
 
-import argparse
 import itertools
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,7 +29,6 @@ from xray_drake.scene import families, library
 from xray_drake.scene.families import (
     FAMILIES,
     TEST_FAMILIES,
-    TRAINING_FAMILIES,
 )
 
 BOUND = 0.03
@@ -220,16 +217,10 @@ class Catalogue:
         leave_out: int = -1,
         any_will_do: bool = False,
     ) -> tuple[float, str]:
-        """Finds the shape that is most alike.
-
-        Args:
-            shape: to compare with all.
-            limit: what is not nearer does not count.
-            leave_out: index of a shape not to compare with.
-            any_will_do: the first shape found within the limit is enough.
+        """Finds the shape that is most alike, or any within the limit.
 
         Returns:
-            The distance and the name; ``limit`` and "" where there is none.
+            The distance and the name; ``limit`` and "" where none is nearer.
         """
         if not self.shapes:
             return limit, ""
@@ -246,15 +237,13 @@ class Catalogue:
         bounds = bounds.reshape(len(self.shapes), -1).min(axis=1)
         best, name = limit, ""
         for index in np.argsort(bounds):
-            if bounds[index] >= best:
+            if bounds[index] >= best or (name and any_will_do):
                 break
             if index == leave_out:
                 continue
             found = distance(shape, self.shapes[index], best)
             if found < best:
                 best, name = found, self.names[index]
-                if any_will_do:
-                    break
         return best, name
 
 
@@ -300,122 +289,72 @@ def _least_bounds(  # type: ignore[no-untyped-def]
     return bounds
 
 
-def draw_table(
-    catalogue: Catalogue, progress: Callable[[str], None] = lambda line: None
-) -> dict[str, dict[str, list[int]]]:
+def draw_table(catalogue: Catalogue) -> dict[str, dict[str, list[int]]]:
     """Draws members of every family that are unlike all before them.
 
     First comes a dozen of each family, then the rest of each.
 
     Args:
         catalogue: empty; filled with what is drawn.
-        progress: called with a line for each family.
 
     Returns:
         Draws by family and split.
     """
     chosen: dict[str, list[int]] = {family: [] for family in FAMILIES}
     drawn = dict.fromkeys(FAMILIES, 0)
-    for first in (True, False):
-        for family in FAMILIES:
-            wanted = (
-                FIRST_MEMBERS
-                if first
-                else TEST_MEMBERS
-                if family in TEST_FAMILIES
-                else TRAINING_MEMBERS + VALIDATION_MEMBERS
-            )
-            refused = 0
-            while len(chosen[family]) < wanted and refused < PATIENCE:
-                name = f"{family}_{len(chosen[family]):03d}"
-                model = library.drawn_object(name, family, drawn[family])
-                shape = likeness(model.visual)
-                if catalogue.nearest(shape, BOUND, any_will_do=True)[1]:
-                    refused += 1
-                else:
-                    refused = 0
-                    catalogue.add(name, shape)
-                    chosen[family].append(drawn[family])
-                drawn[family] += 1
-            progress(f"{family}: {len(chosen[family])} of {drawn[family]}")
+    for first, family in itertools.product((True, False), FAMILIES):
+        wanted = TRAINING_MEMBERS + VALIDATION_MEMBERS
+        if family in TEST_FAMILIES:
+            wanted = TEST_MEMBERS
+        if first:
+            wanted = FIRST_MEMBERS
+        refused = 0
+        while len(chosen[family]) < wanted and refused < PATIENCE:
+            name = f"{family}_{len(chosen[family]):03d}"
+            model = library.drawn_object(name, family, drawn[family])
+            shape = likeness(model.visual)
+            if catalogue.nearest(shape, BOUND, any_will_do=True)[1]:
+                refused += 1
+            else:
+                refused = 0
+                catalogue.add(name, shape)
+                chosen[family].append(drawn[family])
+            drawn[family] += 1
     table: dict[str, dict[str, list[int]]] = {}
     for family, draws in chosen.items():
-        if family in TRAINING_FAMILIES:
-            kept = len(draws) - min(VALIDATION_MEMBERS, len(draws) // 5)
-            table[family] = {"train": draws[:kept], "validation": draws[kept:]}
-        else:
+        if family in TEST_FAMILIES:
             table[family] = {"test": draws}
+            continue
+        kept = len(draws) - min(VALIDATION_MEMBERS, len(draws) // 5)
+        table[family] = {"train": draws[:kept], "validation": draws[kept:]}
     return table
 
 
-def nearest_distances(
-    catalogue: Catalogue,
-    limit: float,
-    *,
-    every: int = 1,
-    progress: Callable[[str], None] = lambda line: None,
-) -> dict[str, tuple[float, str]]:
-    """Finds for each shape of a catalogue the one most like it.
-
-    Args:
-        catalogue: the shapes.
-        limit: distances are told up to this.
-        every: look at every so many shapes only; each against all.
-        progress: called with a line now and then.
-
-    Returns:
-        Distance and name of the nearest for each name.
-    """
-    found = {}
-    for index in range(0, len(catalogue.names), every):
-        name, shape = catalogue.names[index], catalogue.shapes[index]
-        found[name] = catalogue.nearest(shape, limit, leave_out=index)
-        if len(found) % 100 == 0:
-            progress(f"{len(found)} measured")
-    return found
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Measures the library, or draws its table again."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.scene.likeness",
-        description="Measures how alike the library's objects are.",
-    )
-    parser.add_argument(
-        "--write",
-        action="store_true",
-        help="draw families/draws.json again, before measuring",
-    )
-    parser.add_argument(
-        "--every", type=int, default=1, help="look at every so many objects"
-    )
-    options = parser.parse_args(arguments)
-
-    def tell(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
+def main() -> int:
+    """Measures the library, or with ``--write`` draws its table again."""
     catalogue = Catalogue()
-    if options.write:
-        table = draw_table(catalogue, tell)
+    if "--write" in sys.argv[1:]:
         lines = (
             f"  {json.dumps(family)}: {json.dumps(draws)}"
-            for family, draws in table.items()
+            for family, draws in draw_table(catalogue).items()
         )
         TABLE.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     else:
         for split in library.SPLITS:
             for name in library.object_names(split=split):
                 catalogue.add(name, likeness(library.make_object(name).visual))
-    found = nearest_distances(
-        catalogue, 2 * BOUND, every=options.every, progress=tell
-    )
-    distances = np.array([distance for distance, _ in found.values()])
-    closest = min(found, key=lambda name: found[name][0])
-    low, percent, median = np.percentile(distances, [0, 1, 50])
+    found = [
+        (*catalogue.nearest(shape, 2 * BOUND, leave_out=index), name)
+        for index, (name, shape) in enumerate(
+            zip(catalogue.names, catalogue.shapes, strict=True)
+        )
+    ]
+    low, other, name = min(found)
+    percent, median = np.percentile([row[0] for row in found], [1, 50])
     print(
-        f"{len(catalogue.names)} objects; distance to the nearest other: "
-        f"least {low:.4f} ({closest} and {found[closest][1]}), "
-        f"1st percentile {percent:.4f}, median {median:.4f}; bound {BOUND}"
+        f"{len(found)} objects; distance to the nearest other: least {low:.4f} "
+        f"({name} and {other}), 1st percentile {percent:.4f}, median "
+        f"{median:.4f}; bound {BOUND}"
     )
     return 0 if low > BOUND else 1
 

@@ -19,7 +19,7 @@ from xray_drake.scene.meshes import (
     importer,
     load_meshes,
 )
-from xray_drake.scene.meshes.prepare import Settings, prepare, prepare_cached
+from xray_drake.scene.meshes.prepare import prepare_cached
 from xray_drake.scene.shapes import cup
 
 
@@ -483,13 +483,3 @@ def test_workers_make_the_same_objects(folder, tmp_path):
     alone = load_meshes(folder)
     several = load_meshes(folder, workers=2, cache_dir=tmp_path / "other")
     assert all(map(same, alone, several))
-
-
-def test_preparing_twice_is_bitwise_the_same(tmp_path):
-    parts = [box(0.1, 0.04, 0.01), box(0.01, 0.04, 0.05, at=(0.04, 0, -0.02))]
-    write(tmp_path / "l.obj", trimesh.boolean.union(parts, engine="manifold"))
-    settings = Settings(1.0, 8, 12)
-    once, again = (prepare(tmp_path / "l.obj", settings) for _ in range(2))
-    assert len(once.piece_sizes) > 1
-    for name, value in vars(once).items():
-        np.testing.assert_array_equal(value, getattr(again, name))

@@ -238,23 +238,6 @@ def test_who_is_woken_must_be_still_anew() -> None:
     assert cubes.locked() == {"c0"}
 
 
-def test_exactly_those_asked_for_sleep() -> None:
-    cubes = stack(3)
-    for names in ({"c1"}, {"c0", "c2"}, set(), {"c0", "c1", "c2"}):
-        cubes.monitor.set_asleep(cubes.root, names)
-        assert cubes.locked() == cubes.monitor.asleep(cubes.root) == names
-
-
-def test_when_time_goes_back_all_must_be_still_anew() -> None:
-    cubes = stack(2)
-    cubes.monitor.wake(cubes.root, ["c0", "c1"])
-    cubes.root.SetTime(0.0)
-    cubes.simulator.Initialize()
-    took = cubes.until(lambda: bool(cubes.locked()))
-    quiet_time = SleepConfig().quiet_time
-    assert quiet_time <= took < quiet_time + 0.1
-
-
 def test_one_monitor_can_serve_one_simulation_after_another() -> None:
     """As after ``Simulator.reset_context``."""
     cubes = stack(2)
@@ -269,14 +252,19 @@ def test_one_monitor_can_serve_one_simulation_after_another() -> None:
     assert cubes.height("c1") == pytest.approx(3 * HALF, abs=5e-4)
 
 
-def test_what_was_forgotten_must_be_still_anew() -> None:
-    cubes = stack(1)
-    cubes.monitor.wake(cubes.root, ["c0"])
-    cubes.advance(SleepConfig().quiet_time - LOOK)
-    cubes.monitor.forget()
-    cubes.advance(SleepConfig().quiet_time - LOOK)
-    assert not cubes.locked()
-    cubes.fall_asleep()
+@pytest.mark.parametrize("back_in_time", [True, False])
+def test_what_was_forgotten_must_be_still_anew(back_in_time: bool) -> None:
+    cubes = stack(2)
+    cubes.monitor.wake(cubes.root, ["c0", "c1"])
+    if back_in_time:
+        cubes.root.SetTime(0.0)
+        cubes.simulator.Initialize()
+    else:
+        cubes.advance(SleepConfig().quiet_time - LOOK)
+        cubes.monitor.forget()
+    took = cubes.until(lambda: bool(cubes.locked()))
+    quiet_time = SleepConfig().quiet_time
+    assert quiet_time <= took < quiet_time + 0.1
 
 
 def test_it_looks_once_per_period(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,20 +279,6 @@ def test_it_looks_once_per_period(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cubes.monitor, "look", noted)
     cubes.advance(0.1)
     assert times == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08, 0.1])
-
-
-def test_contacts_among_sleepers_cost_nothing() -> None:
-    cubes = stack(3, far=(0.15, 0.1, HALF))
-    assert cubes.surfaces() == 0
-    assert cubes.compared() == set()
-    cubes.monitor.wake(cubes.root, ["c2"])
-    cubes.advance(0.005)
-    assert cubes.surfaces() == 1  # with c1
-    assert len(cubes.compared()) == 5  # with the others, bin and tote
-    cubes.monitor.wake(cubes.root, cubes.items)
-    cubes.advance(0.005)
-    assert cubes.surfaces() == 4
-    assert len(cubes.compared()) == 6 + 4 * 2
 
 
 @pytest.mark.parametrize("inside_another", [False, True])
@@ -334,21 +308,6 @@ def test_a_users_own_diagram_with_a_plain_simulator(
         cubes.plant.GetMyContextFromRoot(root)
     )
     assert X_WO.translation()[2] == pytest.approx(3 * HALF, abs=5e-4)
-
-
-def test_attaching_it_twice() -> None:
-    """As when a notebook's cell is executed again."""
-    cubes = stack(2)
-    monitor = attach_sleep(
-        cubes.simulator, cubes.plant, cubes.scene_graph, cubes.items.values()
-    )
-    cubes.put("c0", -0.15, 0.0, HALF)
-    cubes.advance(0.1)  # its first look was after this
-    assert cubes.locked() == {"c0", "c1"}
-    monitor.wake(cubes.root, cubes.items)
-    cubes.fall_asleep()
-    assert cubes.height("c0") == pytest.approx(HALF, abs=5e-4)
-    assert cubes.height("c1") == pytest.approx(HALF, abs=5e-4)
 
 
 def test_what_went_to_nan_does_not_sleep() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -236,24 +237,10 @@ def add_object(
 def add_objects(
     plant: MultibodyPlant,
     models: Iterable[ObjectModel],
-    *,
-    contact: ContactConfig | None = None,
-    collides: bool = True,
-    visible: bool = True,
-    textured: bool = False,
+    **options: Any,
 ) -> list[PlantObject]:
-    """Adds several objects; see :func:`add_object`."""
-    return [
-        add_object(
-            plant,
-            model,
-            contact=contact,
-            collides=collides,
-            visible=visible,
-            textured=textured,
-        )
-        for model in models
-    ]
+    """Adds several objects, with the options of :func:`add_object`."""
+    return [add_object(plant, model, **options) for model in models]
 
 
 def _register_collision(

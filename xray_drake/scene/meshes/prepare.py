@@ -4,7 +4,7 @@ import hashlib
 import io
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,9 @@ floor is no longer."""
 
 FLATTEST = 1e-6
 """A hull of less volume than this share of the cubed longest side is flat."""
+
+_TEXTURE = "texture_"
+"""Before the names of a texture's arrays in the cache."""
 
 _SAMPLES = 30_000
 _NEAREST = 6
@@ -78,10 +81,7 @@ class Prepared:
         losses: missing, added, volume and silhouette, as in ``Losses``.
         notes: what was repaired or could not be used, short sentences.
         color: (3,) mean colour, or (0,) where the file has none.
-        texture_vertices: (t, 3) float32, (0, 3) without texture; so the rest.
-        texture_faces: (f, 3) int32.
-        texture_uv: (t, 2) float32.
-        texture_image: (h, w, 3) uint8.
+        textured: the surface with its texture, where the file has one.
     """
 
     vertices: np.ndarray
@@ -91,32 +91,35 @@ class Prepared:
     volume: np.ndarray
     inertia: np.ndarray
     losses: np.ndarray
-    notes: np.ndarray = field(default_factory=lambda: np.zeros(0, "U1"))
-    color: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    texture_vertices: np.ndarray = field(
-        default_factory=lambda: np.zeros((0, 3), np.float32)
-    )
-    texture_faces: np.ndarray = field(
-        default_factory=lambda: np.zeros((0, 3), np.int32)
-    )
-    texture_uv: np.ndarray = field(
-        default_factory=lambda: np.zeros((0, 2), np.float32)
-    )
-    texture_image: np.ndarray = field(
-        default_factory=lambda: np.zeros((0, 0, 3), np.uint8)
-    )
+    notes: np.ndarray
+    color: np.ndarray
+    textured: TexturedMesh | None
 
-    @property
-    def textured(self) -> TexturedMesh | None:
-        """The texture, where the file has one."""
-        if not len(self.texture_vertices):
-            return None
-        return TexturedMesh(
-            vertices=self.texture_vertices,
-            faces=self.texture_faces,
-            uv=self.texture_uv,
-            image=self.texture_image,
-        )
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Returns all of it by name, the texture's arrays after a prefix."""
+        arrays = dict(vars(self))
+        textured = arrays.pop("textured")
+        if textured is not None:
+            for name, value in vars(textured).items():
+                arrays[_TEXTURE + name] = value
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "Prepared":
+        """Makes it of what :meth:`arrays` returned.
+
+        Raises:
+            TypeError: an array is missing, or one too many.
+        """
+        texture = {
+            name.removeprefix(_TEXTURE): arrays[name]
+            for name in arrays
+            if name.startswith(_TEXTURE)
+        }
+        rest = {n: a for n, a in arrays.items() if not n.startswith(_TEXTURE)}
+        # Caches of before have empty arrays where there is no texture.
+        some = len(texture.get("vertices", ())) > 0
+        return cls(**rest, textured=TexturedMesh(**texture) if some else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +166,10 @@ def read_outcome(
         if arrays["time_limit"] < time_limit:
             return None
         return Outcome(None, str(arrays["reason"]), cached=True)
-    if set(arrays) == {item.name for item in fields(Prepared)}:
-        return Outcome(Prepared(**arrays), cached=True)
-    return None
+    try:
+        return Outcome(Prepared.from_arrays(arrays), cached=True)
+    except TypeError:
+        return None
 
 
 def keep_reason(
@@ -205,7 +209,7 @@ def prepare_cached(path: Path, settings: Settings, cache: Path) -> Outcome:
             raise
         return keep_reason(path, settings, cache, one_line(error))
     key = _key(path, settings)
-    return Outcome(prepared, kept=_write_arrays(cache, key, vars(prepared)))
+    return Outcome(prepared, kept=_write_arrays(cache, key, prepared.arrays()))
 
 
 def _key(path: Path, settings: Settings) -> str:
@@ -307,18 +311,13 @@ def prepare(path: Path, settings: Settings) -> Prepared:
     shown = _decimated_visual(mesh)
     texture = None if raw.visual is None else read_texture(raw.visual)
     color = raw.color
-    extra = {}
     notes = [*closed.repairs, *raw.notes]
     if raw.visual is not None and texture is None:
         notes.append("its texture has no finite coordinates")
     if texture is not None:
         color = mean_color(texture)
-        extra = {
-            "texture_vertices": (texture.vertices - center).astype(np.float32),
-            "texture_faces": texture.faces,
-            "texture_uv": texture.uv,
-            "texture_image": texture.image,
-        }
+        moved = (texture.vertices - center).astype(np.float32)
+        texture = replace(texture, vertices=moved)
     return Prepared(
         vertices=np.asarray(shown.vertices) - center,
         faces=np.asarray(shown.faces, dtype=np.int32),
@@ -331,7 +330,7 @@ def prepare(path: Path, settings: Settings) -> Prepared:
         ),
         notes=np.array(notes, dtype=np.str_),
         color=color,
-        **extra,
+        textured=texture,
     )
 
 
