@@ -1,5 +1,6 @@
 """What the gripper's tests share: systems with fixed inputs, and objects."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from xray_drake.scene.plant import (
     TOTE_SIZE,
     add_bin,
     add_object,
+    add_objects,
     add_plant,
     default_plant_config,
 )
@@ -89,40 +91,98 @@ class Alone:
         return self.system.get_output_port(0).Eval(self.context)
 
 
-def connect_cup(
-    builder: DiagramBuilder, plant: MultibodyPlant, cup: SuctionCup
+def connect_body(
+    builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem
 ) -> None:
-    """Connects a suction cup, but for ``suction``, to its plant."""
+    """Connects what looks at bodies and pulls at them to its plant."""
     for name in ("body_poses", "body_spatial_velocities"):
-        builder.Connect(plant.GetOutputPort(name), cup.GetInputPort(name))
+        builder.Connect(plant.GetOutputPort(name), system.GetInputPort(name))
     builder.Connect(
-        cup.GetOutputPort("applied_spatial_force"),
+        system.GetOutputPort("applied_spatial_force"),
         plant.get_applied_spatial_force_input_port(),
     )
 
 
-class ContactCell:
+class TransferCell:
+    """A bin, a tote, objects, and a gripper that moves them.
+
+    Subclasses add a gripper to ``builder``, and then :meth:`build`.
+    """
+
+    def __init__(
+        self, poses: Mapping[str, np.ndarray], *models: ObjectModel
+    ) -> None:
+        self.builder = DiagramBuilder()
+        self.plant, self.scene_graph = add_plant(
+            self.builder, default_plant_config()
+        )
+        add_bin(self.plant, with_tote=True)
+        items = add_objects(self.plant, models)
+        for item in items:
+            item.joint.SetDefaultPose(RigidTransform(poses[item.name]))
+        self.items = {item.name: item for item in items}
+        self.bodies = {item.name: int(item.body.index()) for item in items}
+
+    def build(self, gripper: LeafSystem) -> None:
+        self.gripper = gripper
+        self.builder.ExportInput(gripper.GetInputPort("action"), "action")
+        self.diagram = self.builder.Build()
+        self.simulator = Simulator(self.diagram)
+        self.context: Context = self.simulator.get_mutable_context()
+
+    def command(self, action: SearchAction) -> None:
+        self.diagram.GetInputPort("action").FixValue(
+            self.context, AbstractValue.Make(action)
+        )
+
+    def pose(self, name: str) -> np.ndarray:
+        context = self.plant.GetMyContextFromRoot(self.context)
+        return self.items[name].body.EvalPoseInWorld(context).GetAsMatrix4()
+
+    @property
+    def status(self) -> GripperStatus:
+        return self.gripper.GetOutputPort("status").Eval(
+            self.gripper.GetMyContextFromRoot(self.context)
+        )
+
+    def advance(self, time: float) -> GripperStatus:
+        self.simulator.AdvanceTo(self.context.get_time() + time)
+        return self.status
+
+    def run(self, action: SearchAction, limit: float = 8.0) -> np.ndarray:
+        """Runs an action to its end; returns the object's way, (n, 3)."""
+        self.command(action)
+        way = []
+        end = self.context.get_time() + limit
+        while True:
+            status = self.advance(0.05)
+            way.append(self.pose(action.grasp.object)[:3, 3])
+            done = status.mode is GripperMode.IDLE
+            if done and status.number == action.number:
+                return np.array(way)
+            assert self.context.get_time() < end
+
+
+class ContactCell(TransferCell):
     """Gripper, cup and controller on a plant with one object."""
 
     def __init__(self, model: ObjectModel, carrier: str = "wrist") -> None:
-        builder = DiagramBuilder()
-        plant, scene_graph = add_plant(builder, default_plant_config())
-        add_bin(plant, with_tote=True)
+        X_WO = np.eye(4)
+        X_WO[:3, 3] = 0.05, 0.02, model.extents[2] / 2
+        super().__init__({model.name: X_WO}, model)
+        builder, plant = self.builder, self.plant
         gripper = add_gripper(plant, carrier=carrier)
-        self.item = add_object(plant, model)
-        height = model.extents[2] / 2
-        self.item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
-        add_grip_surfaces(plant, scene_graph, gripper, [self.item])
+        add_grip_surfaces(plant, self.scene_graph, gripper, self.items.values())
         plant.Finalize()
         cup = builder.AddSystem(
             SuctionCup(
                 objects=[model],
-                bodies={model.name: int(self.item.body.index())},
+                bodies=self.bodies,
                 gripper=int(gripper.base.index()),
                 X_BC=gripper.X_BC,
             )
         )
-        connect_cup(builder, plant, cup)
+        connect_body(builder, plant, cup)
         controller = builder.AddSystem(GripperController(gripper=gripper))
         for name, instance in (
             ("carrier", gripper.carrier_instance),
@@ -143,33 +203,7 @@ class ContactCell:
             builder.Connect(
                 source.GetOutputPort(output), drain.GetInputPort(name)
             )
-        builder.ExportInput(controller.GetInputPort("action"), "action")
-        self.plant, self.controller = plant, controller
-        self.diagram = builder.Build()
-        self.simulator = Simulator(self.diagram)
-        self.context: Context = self.simulator.get_mutable_context()
-
-    @property
-    def position(self) -> np.ndarray:
-        context = self.plant.GetMyContextFromRoot(self.context)
-        pose = self.plant.EvalBodyPoseInWorld(context, self.item.body)
-        return np.array(pose.translation())
-
-    def run(self, action: SearchAction) -> tuple[GripperStatus, np.ndarray]:
-        """Runs an action to its end; returns the object's way, (n, 3)."""
-        self.diagram.GetInputPort("action").FixValue(
-            self.context, AbstractValue.Make(action)
-        )
-        way = []
-        while True:
-            self.simulator.AdvanceTo(self.context.get_time() + 0.05)
-            way.append(self.position)
-            status: GripperStatus = self.controller.GetOutputPort(
-                "status"
-            ).Eval(self.controller.GetMyContextFromRoot(self.context))
-            if status.mode is GripperMode.IDLE:
-                return status, np.array(way)
-            assert self.context.get_time() < 20.0
+        self.build(controller)
 
 
 class DrivenCell:
@@ -224,7 +258,7 @@ class DrivenCell:
                     X_BC=gripper.X_BC,
                 )
             )
-            connect_cup(builder, plant, self.cup)
+            connect_body(builder, plant, self.cup)
             builder.ExportInput(self.cup.GetInputPort("suction"), "suction")
         else:
             builder.ExportInput(

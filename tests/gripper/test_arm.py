@@ -203,8 +203,7 @@ def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:
 def test_by_contact_it_brings_an_object_to_the_tote() -> None:
     model = target_model("box_2to1")
     cell = ContactCell(model, carrier="arm")
-    status, way = cell.run(
-        take(GraspKind.JAW, model.name, (0.05, 0.02, 0.0035), 0.0212)
-    )
-    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
+    action = take(GraspKind.JAW, model.name, (0.05, 0.02, 0.0035), 0.0212)
+    way = cell.run(action, limit=20.0)
+    assert (cell.status.outcome, cell.status.reason) == (Outcome.LIFTED, "")
     assert in_tote(way[-1])

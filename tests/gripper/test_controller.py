@@ -125,9 +125,9 @@ def test_by_contact_it_brings_an_object_to_the_tote(
     model: ObjectModel, kind: GraspKind, z: float, width: float
 ) -> None:
     cell = ContactCell(model)
-    status, way = cell.run(take(kind, model.name, (0.05, 0.02, z), width))
-    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
-    assert cell.context.get_time() < 15.0
+    action = take(kind, model.name, (0.05, 0.02, z), width)
+    way = cell.run(action, limit=15.0)
+    assert (cell.status.outcome, cell.status.reason) == (Outcome.LIFTED, "")
     assert in_tote(way[-1])
     assert way[-1, 2] == pytest.approx(model.extents[2] / 2, abs=2e-3)
     over = (way[:, 0] > 0.23) & (way[:, 0] < 0.29)
@@ -137,10 +137,9 @@ def test_by_contact_it_brings_an_object_to_the_tote(
 
 def test_by_contact_a_miss_is_felt() -> None:
     cell = ContactCell(BRICK)
-    start = cell.position
-    status, way = cell.run(
-        take(GraspKind.JAW, "brick", (-0.1, -0.05, 0.02), 0.02)
-    )
-    assert status.outcome is Outcome.FAILED
-    assert status.reason == "the jaw closed on nothing"
+    start = cell.pose("brick")[:3, 3]
+    action = take(GraspKind.JAW, "brick", (-0.1, -0.05, 0.02), 0.02)
+    way = cell.run(action, limit=20.0)
+    assert cell.status.outcome is Outcome.FAILED
+    assert cell.status.reason == "the jaw closed on nothing"
     np.testing.assert_allclose(way[-1], start, atol=5e-4)

@@ -5,14 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from tests.gripper.cells import Alone, downwards, in_tote
+from tests.gripper.cells import (
+    Alone,
+    TransferCell,
+    connect_body,
+    downwards,
+    in_tote,
+)
 from tests.ports import inputs_of, outputs_of
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.gripper.actuation.ideal import (
@@ -23,17 +26,12 @@ from xray_drake.messages import (
     Grasp,
     GraspKind,
     GripperMode,
-    GripperStatus,
     Outcome,
     SearchAction,
 )
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
     BIN_WALL_HEIGHT,
-    add_bin,
-    add_objects,
-    add_plant,
-    default_plant_config,
 )
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
@@ -285,54 +283,17 @@ def test_the_drawn_gripper_goes_to_the_grasp() -> None:
     np.testing.assert_allclose(there[7:], 0.01, atol=1e-9)
 
 
-class Cell:
-    """A bin, a tote, objects, and the gripper that moves them."""
+class Cell(TransferCell):
+    """A bin, a tote, objects, and the ideal gripper."""
 
     def __init__(
         self, judge: Judge, poses: Mapping[str, np.ndarray], **more: Any
     ) -> None:
-        builder = DiagramBuilder()
-        self.plant, _ = add_plant(builder, default_plant_config())
-        add_bin(self.plant, with_tote=True)
-        items = add_objects(self.plant, [MODELS[name] for name in poses])
-        for item in items:
-            item.joint.SetDefaultPose(RigidTransform(poses[item.name]))
+        super().__init__(poses, *(MODELS[name] for name in poses))
         self.plant.Finalize()
-        self.items = {item.name: item for item in items}
-        bodies = {item.name: int(item.body.index()) for item in items}
-        plant, gripper = self.plant, make(judge, bodies, **more)
-        self.gripper = builder.AddSystem(gripper)
-        for name in ("body_poses", "body_spatial_velocities"):
-            builder.Connect(
-                plant.GetOutputPort(name), gripper.GetInputPort(name)
-            )
-        builder.Connect(
-            gripper.GetOutputPort("applied_spatial_force"),
-            plant.get_applied_spatial_force_input_port(),
-        )
-        builder.ExportInput(gripper.GetInputPort("action"), "action")
-        self.diagram = builder.Build()
-        self.simulator = Simulator(self.diagram)
-        self.context = self.simulator.get_mutable_context()
-
-    def command(self, action: SearchAction) -> None:
-        self.diagram.GetInputPort("action").FixValue(
-            self.context, AbstractValue.Make(action)
-        )
-
-    def pose(self, name: str) -> np.ndarray:
-        context = self.plant.GetMyContextFromRoot(self.context)
-        return self.items[name].body.EvalPoseInWorld(context).GetAsMatrix4()
-
-    @property
-    def status(self) -> GripperStatus:
-        return self.gripper.GetOutputPort("status").Eval(
-            self.gripper.GetMyContextFromRoot(self.context)
-        )
-
-    def advance(self, time: float) -> GripperStatus:
-        self.simulator.AdvanceTo(self.context.get_time() + time)
-        return self.status
+        gripper = self.builder.AddSystem(make(judge, self.bodies, **more))
+        connect_body(self.builder, self.plant, gripper)
+        self.build(gripper)
 
     def advance_until(self, *, stirring: bool) -> float:
         """Advances until the status says so; returns the time."""
@@ -341,19 +302,6 @@ class Cell:
             self.advance(0.02)
             assert self.context.get_time() < end
         return self.context.get_time()
-
-    def run(self, action: SearchAction, limit: float = 8.0) -> np.ndarray:
-        """Runs an action to its end; returns the object's way, (n, 3)."""
-        self.command(action)
-        way = []
-        end = self.context.get_time() + limit
-        while True:
-            status = self.advance(0.05)
-            way.append(self.pose(action.grasp.object)[:3, 3])
-            done = status.mode is GripperMode.IDLE
-            if done and status.number == action.number:
-                return np.array(way)
-            assert self.context.get_time() < end
 
 
 @pytest.mark.parametrize("name", POSES)
