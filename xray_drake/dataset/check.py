@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -148,10 +148,9 @@ class CheckReport:
             "statistics": self.statistics(),
             "defects": [
                 {
-                    "file": d.file,
+                    **asdict(d),
                     "sample": d.sample if d.sample >= 0 else None,
                     "key": d.key or None,
-                    "problem": d.problem,
                 }
                 for d in self.defects
             ],

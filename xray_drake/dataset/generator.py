@@ -3,6 +3,7 @@
 import gc
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -402,16 +403,10 @@ class _Clock:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._stage = ""
-        self._since = 0.0
 
-    def __call__(self, stage: str) -> "_Clock":
-        self._stage = stage
-        return self
-
-    def __enter__(self) -> None:
-        self._since = time.process_time()
-
-    def __exit__(self, *error: object) -> None:
-        elapsed = time.process_time() - self._since
-        self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + elapsed
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        since = time.process_time()
+        yield
+        elapsed = time.process_time() - since
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + elapsed

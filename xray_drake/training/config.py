@@ -189,13 +189,9 @@ def check_config(config: TrainConfig, path: str) -> None:
             f"{path}: items_per_epoch is {config.items_per_epoch}, less than "
             f"the batch_size, {config.batch_size}"
         )
-    _check_virtual(config, path)
-
-
-def _check_virtual(config: TrainConfig, path: str) -> None:
-    size = config.prepare.virtual_size
-    single = single_box(config)
-    if single and config.virtual and config.prepare.virtual and not size:
+    single, prepare = single_box(config), config.prepare
+    virtual = config.virtual and prepare.virtual
+    if single and virtual and not prepare.virtual_size:
         raise TrainingError(
             f"{path}: a network of {single} alone takes no virtual targets of "
             "other sizes: give prepare.virtual_size, or virtual: false"

@@ -12,9 +12,10 @@ import io
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import cv2
@@ -217,7 +218,7 @@ def prepare_shard(
     """Makes the items of one shard."""
     cv2.setNumThreads(1)
     box = np.array(config.virtual_size) if config.virtual_size else None
-    packed, sizes, real, held_out, targets = [], [], [], [], []
+    rows = []
     with ShardReader(shard) as reader:
         for index, key in enumerate(reader.keys):
             rng = stream(config.seed, f"prepare {key}")
@@ -235,11 +236,9 @@ def prepare_shard(
                 item, size = sample_item(
                     each, config, rng, given=kept or config.labels == "given"
                 )
-                packed.append(pack(item))
-                sizes.append(size)
-                real.append(not is_virtual(each.target_name))
-                held_out.append(kept)
-                targets.append(each.target_name)
+                real = not is_virtual(each.target_name)
+                rows.append((pack(item), size, real, kept, each.target_name))
+    packed, sizes, reals, held_out, targets = zip(*rows, strict=True)
     file = io.BytesIO()
     np.savez(
         file,
@@ -247,7 +246,7 @@ def prepare_shard(
         ends=np.cumsum([len(data) for data in packed]),
         shape=np.array(sample.camera.shape),
         sizes=np.array(sizes),
-        real=np.array(real),
+        real=np.array(reals),
         held_out=np.array(held_out),
         targets=np.array(targets),
     )
@@ -263,16 +262,12 @@ def open_prepared(path: Path) -> Prepared:
     """
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            height, width = arrays["shape"].tolist()
-            return Prepared(
-                packed=arrays["packed"],
-                ends=arrays["ends"],
-                shape=(height, width),
-                sizes=arrays["sizes"],
-                real=arrays["real"],
-                held_out=arrays["held_out"],
-                targets=tuple(arrays["targets"].tolist()),
-            )
+            parts: dict[str, Any] = {
+                f.name: arrays[f.name] for f in fields(Prepared)
+            }
+            for name in ("shape", "targets"):
+                parts[name] = tuple(parts[name].tolist())
+            return Prepared(**parts)
     except (BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path} is damaged: remove it, and it is made again"
