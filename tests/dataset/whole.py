@@ -72,3 +72,28 @@ def write_dataset(
             ),
         )
     return folder
+
+
+def tiny_dataset(
+    folder: Path,
+    make: Callable[[int], Sample],
+    count: int,
+    *,
+    shard_size: int,
+    targets: tuple[str, ...] = ("box_2to1",),
+    seed: int = 0,
+    views: int = 1,
+    shape: tuple[int, int] = (64, 96),
+) -> Path:
+    """Writes a dataset of one split, "train"; arguments as its manifest's."""
+    manifest = Manifest(
+        seed=seed,
+        targets=targets,
+        splits={"train": count},
+        shard_size=shard_size,
+        views_per_heap=views,
+        height=shape[0],
+        width=shape[1],
+        scenario="name: tiny\n",
+    )
+    return write_dataset(folder, manifest, make)

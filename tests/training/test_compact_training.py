@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tests.dataset.conftest import synthetic_sample
-from tests.dataset.whole import write_dataset
-from xray_drake.dataset.manifest import Manifest
+from tests.dataset.whole import tiny_dataset
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
 from xray_drake.occupancy.learned import build
 from xray_drake.occupancy.learned.inference import load_inference
@@ -61,22 +60,14 @@ class _Guess(nn.Module):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A view of each of twelve heaps, some of which are held out."""
-    manifest = Manifest(
-        seed=2,
-        targets=("box_2to1",),
-        splits={"train": _HEAPS},
-        shard_size=8,
-        views_per_heap=1,
-        height=_SHAPE[0],
-        width=_SHAPE[1],
-        scenario="name: tiny\n",
-    )
-    return write_dataset(
+    return tiny_dataset(
         tmp_path_factory.mktemp("dataset"),
-        manifest,
         lambda i: synthetic_sample(
             i, cover=(0.3, 1.0, 0.6)[i % 3], shape=_SHAPE
         ),
+        _HEAPS,
+        shard_size=8,
+        seed=2,
     )
 
 

@@ -11,8 +11,7 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from tests.dataset.whole import write_dataset
-from xray_drake.dataset.manifest import Manifest
+from tests.dataset.whole import tiny_dataset
 from xray_drake.dataset.reader import OccupancyDataset, is_held_out
 from xray_drake.dataset.sample import Sample, depth_on_disk
 from xray_drake.dataset.virtual import virtual_sample
@@ -95,22 +94,14 @@ def _sample(heap_seed: int, target_name: str) -> Sample:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve heaps with each of two boxes; of 0.3, two heaps are held out."""
-    folder = tmp_path_factory.mktemp("dataset")
-    manifest = Manifest(
-        seed=3,
-        targets=tuple(_SIZES),
-        splits={"train": 2 * _HEAPS},
-        shard_size=8,
-        views_per_heap=1,
-        height=_SHAPE[0],
-        width=_SHAPE[1],
-        scenario="name: tiny\n",
-    )
     names = tuple(_SIZES)
-    return write_dataset(
-        folder,
-        manifest,
+    return tiny_dataset(
+        tmp_path_factory.mktemp("dataset"),
         lambda i: _sample(i // len(names), names[i % len(names)]),
+        2 * _HEAPS,
+        shard_size=8,
+        targets=names,
+        seed=3,
     )
 
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from tests.dataset.conftest import synthetic_sample
-from tests.dataset.whole import flip_bit, write_dataset
+from tests.dataset.whole import flip_bit, tiny_dataset, write_dataset
 from xray_drake.dataset.augmentation import DepthNoise
 from xray_drake.dataset.manifest import (
     DatasetError,
-    Manifest,
     read_manifest,
 )
 from xray_drake.dataset.reader import is_held_out
@@ -63,18 +62,14 @@ def _sample(index: int) -> Sample:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dataset")
-    manifest = Manifest(
-        seed=0,
-        targets=("box_2to1", "lid"),
-        splits={"train": HEAPS * VIEWS},
+    return tiny_dataset(
+        tmp_path_factory.mktemp("dataset"),
+        _sample,
+        HEAPS * VIEWS,
         shard_size=4,
-        views_per_heap=VIEWS,
-        height=SHAPE[0],
-        width=SHAPE[1],
-        scenario="name: tiny\n",
+        targets=("box_2to1", "lid"),
+        views=VIEWS,
     )
-    return write_dataset(folder, manifest, _sample)
 
 
 @pytest.fixture

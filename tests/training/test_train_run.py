@@ -13,10 +13,9 @@ import typer
 from typer.testing import CliRunner
 
 from tests.dataset.conftest import synthetic_sample
-from tests.dataset.whole import write_dataset
+from tests.dataset.whole import tiny_dataset
 from xray_drake.cli.train import train as train_command
 from xray_drake.dataset.manifest import (
-    Manifest,
     read_manifest,
     write_manifest,
 )
@@ -80,22 +79,14 @@ prepare: {{virtual: 1}}
 
 def _write(folder: Path, heaps: list[int]) -> Path:
     folder.mkdir()
-    manifest = Manifest(
-        seed=5,
-        targets=("box_2to1",),
-        splits={"train": len(heaps)},
-        shard_size=len(heaps),
-        views_per_heap=1,
-        height=SHAPE[0],
-        width=SHAPE[1],
-        scenario="name: tiny\n",
-    )
-    return write_dataset(
+    return tiny_dataset(
         folder,
-        manifest,
         lambda i: synthetic_sample(
             heaps[i], cover=(0.4, 1.0)[heaps[i] % 2], shape=SHAPE
         ),
+        len(heaps),
+        shard_size=len(heaps),
+        seed=5,
     )
 
 
