@@ -28,8 +28,8 @@ from xray_drake.training.config import (
     TrainingError,
     load_config,
 )
-from xray_drake.training.data import PassSampler
-from xray_drake.training.paper import PaperTraining, input_mean, paper_data
+from xray_drake.training.data import PassSampler, TrainingData
+from xray_drake.training.paper import PaperTraining, input_mean, paper_items
 from xray_drake.training.prepare import (
     PrepareConfig,
     open_prepared,
@@ -152,6 +152,11 @@ def _items(
     return OccupancyDataset(
         folder, images=images, validation_share=0.3, targets=[target]
     )
+
+
+def _data(*folders: Path, **changes: Any) -> TrainingData:
+    config = _config(**changes)
+    return TrainingData(*paper_items(folders, config), config, workers=0)
 
 
 def _weights(path: Path) -> dict[str, Tensor]:
@@ -289,7 +294,7 @@ def test_a_run_that_is_resumed_ends_as_one_that_is_not(
 
 def test_a_step_of_the_real_network(folder: Path) -> None:
     torch.manual_seed(0)
-    data = paper_data([folder], _config(), workers=0)
+    data = _data(folder)
     net = FCNResNet50()
     mean = input_mean(data.train_items, _config())
     module = PaperTraining(net, _config(), 1, mean)
@@ -327,7 +332,7 @@ def test_the_mean_is_of_as_many_images_as_are_said(folder: Path) -> None:
 
 
 def test_heaps_are_on_one_side(folder: Path) -> None:
-    data = paper_data([folder, folder], _config(targets=[]), workers=0)
+    data = _data(folder, folder, targets=[])
     sides = [
         {key.heap_seed for part in items.datasets for key in part.keys}
         for items in (data.train_items, data.validation_items)
@@ -350,12 +355,12 @@ def test_too_little_data(
     folder: Path, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(TrainingError, match=message):
-        paper_data([folder], _config(**changes), workers=0)
+        _data(folder, **changes)
 
 
 def test_image_and_label_are_flipped_together(folder: Path) -> None:
     config = _config(flips=True)
-    data = paper_data([folder], config, workers=0)
+    data = _data(folder)
     batch = next(iter(data.train_dataloader()))
     batch["occupancy"] = batch["input"][:, :1]
     seen = []

@@ -217,7 +217,8 @@ def test_what_is_asked_for_may_be_nowhere() -> None:
 def test_epochs_are_parts_of_passes(passes: float, epochs_: int) -> None:
     config = TrainConfig(passes=passes, items_per_epoch=10, batch_size=3)
     items = PreparedItems([shard(0, *[("lid", False)] * 20)], held_out=False)
-    data = TrainingData(items, items, config, num_images=40, workers=0)
+    data = TrainingData(items, items, config, workers=0)
+    assert data.num_images == 40
     assert data.epochs == epochs_
     assert data.steps_per_epoch == 3
     loader = data.train_dataloader()
@@ -264,7 +265,6 @@ def counted(train: int, held_out: int, devices: int) -> TrainingData:
         TensorDataset(torch.arange(train)),
         TensorDataset(torch.arange(held_out)),
         TrainConfig(passes=1, items_per_epoch=8, batch_size=2),
-        num_images=train,
         workers=0,
         devices=devices,
     )

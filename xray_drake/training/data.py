@@ -148,7 +148,6 @@ class TrainingData(lightning.LightningDataModule):
         validation_items: Dataset[Any],
         config: TrainConfig,
         *,
-        num_images: int,
         workers: int,
         devices: int = 1,
     ) -> None:
@@ -158,7 +157,6 @@ class TrainingData(lightning.LightningDataModule):
             train_items: to train on; has a length.
             validation_items: of heaps that are held out; has a length.
             config: of the run.
-            num_images: labelled images of heaps among both.
             workers: processes that read; 0 reads in this one.
             devices: that share the items.
 
@@ -172,7 +170,11 @@ class TrainingData(lightning.LightningDataModule):
         self._devices = devices
         self.train_items = train_items
         self.validation_items = validation_items
-        self.num_images = num_images
+        # Those of virtual targets are no images of heaps.
+        self.num_images: int = sum(
+            getattr(items, "num_real", length(items))
+            for items in (train_items, validation_items)
+        )
         self.num_train = length(train_items)
         self.num_validation = length(validation_items)
         for name, number in (
@@ -255,35 +257,6 @@ class TrainingData(lightning.LightningDataModule):
             num_workers=self._workers,
             persistent_workers=self._workers > 0,
         )
-
-
-def prepared_data(
-    files: Sequence[Path],
-    config: TrainConfig,
-    *,
-    workers: int = 1,
-    devices: int = 1,
-) -> TrainingData:
-    """Returns batches of prepared files; see :data:`Batch`.
-
-    Args:
-        files: of :func:`xray_drake.training.prepare.prepare`.
-        config: chooses items and sizes of batches.
-        workers: processes that read.
-        devices: that share the items.
-
-    Raises:
-        TrainingError: nothing to train on, or to validate on.
-    """
-    train, validation = open_items(files, config)
-    return TrainingData(
-        train,
-        validation,
-        config,
-        num_images=train.num_real + validation.num_real,
-        workers=workers,
-        devices=devices,
-    )
 
 
 def open_items(

@@ -20,43 +20,29 @@ from torch.utils.data import ConcatDataset, Dataset, TensorDataset
 from xray_drake.dataset.reader import NoSampleError, OccupancyDataset
 from xray_drake.seeding import stream
 from xray_drake.training.config import TrainConfig
-from xray_drake.training.data import TrainingData, length
+from xray_drake.training.data import length
 from xray_drake.training.losses import mse_loss
 from xray_drake.training.module import OccupancyTraining
 
 
-def paper_data(
-    datasets: Sequence[Path],
-    config: TrainConfig,
-    *,
-    workers: int = 1,
-    devices: int = 1,
-    incomplete: bool = False,
-) -> TrainingData:
-    """Returns batches of :class:`OccupancyDataset`'s items, split by heaps.
+def paper_items(
+    datasets: Sequence[Path], config: TrainConfig, *, incomplete: bool = False
+) -> tuple[Dataset[Any], Dataset[Any]]:
+    """Returns :class:`OccupancyDataset`'s items to train on and held out.
 
-    The object splits of the datasets are not told apart.
+    Split by heaps; the object splits of the datasets are not told apart.
 
     Args:
         datasets: folders.
-        config: chooses targets, the share held out and sizes of batches.
-        workers: processes that read; 0 reads in this one.
-        devices: that share the items.
+        config: chooses targets and the share held out.
         incomplete: leave out shards that are missing.
 
     Raises:
         DatasetError: a dataset that cannot be read, or lacks a shard.
-        TrainingError: nothing to train on, or to validate on.
     """
-    train = _items(datasets, config, "train", incomplete)
-    validation = _items(datasets, config, "validation", incomplete)
-    return TrainingData(
-        train,
-        validation,
-        config,
-        num_images=length(train) + length(validation),
-        workers=workers,
-        devices=devices,
+    return (
+        _items(datasets, config, "train", incomplete),
+        _items(datasets, config, "validation", incomplete),
     )
 
 

@@ -27,11 +27,11 @@ from xray_drake.training.card import make_card, provenance
 from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.data import (
     TrainingData,
-    prepared_data,
+    open_items,
     steps_per_epoch,
 )
 from xray_drake.training.module import CompactTraining, OccupancyTraining
-from xray_drake.training.paper import PaperTraining, input_mean, paper_data
+from xray_drake.training.paper import PaperTraining, input_mean, paper_items
 from xray_drake.training.prepare import plan, prepare
 from xray_drake.training.windows import WindowedData, WindowedTraining
 
@@ -148,15 +148,11 @@ def _train(
             "with --resume"
         )
     card = make_card(
-        datasets,
-        config,
-        data,
-        module,
-        trainer,
-        box_size=size,
-        out=options.out,
+        datasets, config, data, module, trainer, box_size=size, out=options.out
     )
-    _export(options.out, net, card)
+    state = {name: value.detach() for name, value in net.state_dict().items()}
+    save_weights(options.out / WEIGHTS, state, card)
+    write_whole_file(options.out / CARD, card.to_markdown().encode())
     return card
 
 
@@ -177,11 +173,7 @@ def _make_geometry(
     cache = options.cache or options.out / "cache"
     share = config.validation_share
     jobs = plan(
-        datasets,
-        cache,
-        config.prepare,
-        share,
-        incomplete=options.incomplete,
+        datasets, cache, config.prepare, share, incomplete=options.incomplete
     )
     for done in prepare(jobs, config.prepare, share, workers=options.workers):
         prepared(done, len(jobs))
@@ -189,7 +181,9 @@ def _make_geometry(
     if isinstance(net, WindowedNet):
         windows = WindowedData(files, config, devices=options.devices)
         return WindowedTraining(net, config, windows.steps), windows
-    data = prepared_data(files, config, devices=options.devices)
+    data = TrainingData(
+        *open_items(files, config), config, workers=1, devices=options.devices
+    )
     return CompactTraining(net, config, data.steps), data
 
 
@@ -204,12 +198,11 @@ def _make_paper(
     # What is resumed has its weights in the checkpoint.
     if config.backbone and not options.resume:
         load_backbone(net, Path(config.backbone))
-    data = paper_data(
-        datasets,
+    data = TrainingData(
+        *paper_items(datasets, config, incomplete=options.incomplete),
         config,
         workers=options.workers,
         devices=options.devices,
-        incomplete=options.incomplete,
     )
     mean = input_mean(data.train_items, config)
     return PaperTraining(net, config, data.steps, mean), data
@@ -330,9 +323,3 @@ def _trainer(
         # The data share themselves out.
         use_distributed_sampler=False,
     )
-
-
-def _export(out: Path, net: nn.Module, card: NetworkCard) -> None:
-    state = {name: value.detach() for name, value in net.state_dict().items()}
-    save_weights(out / WEIGHTS, state, card)
-    write_whole_file(out / CARD, card.to_markdown().encode())

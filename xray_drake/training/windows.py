@@ -183,7 +183,6 @@ class WindowedData(TrainingData):
             self._train,
             self._validation,
             config,
-            num_images=self._train.num_real + self._validation.num_real,
             workers=0,
             devices=devices,
         )
