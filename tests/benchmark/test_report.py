@@ -190,6 +190,15 @@ def test_what_the_markdown_says() -> None:
     assert xray[1] == "3"
 
 
+def test_failures_are_shown_by_cause() -> None:
+    failed = record("xray", 0, 1, "horizon")
+    failed["actions"][0] |= {"outcome": "failed", "reason": "the lip bends"}
+    text = markdown(of([failed, record("random", 0)]))
+    (rows,) = (t for t in tables(text) if t[0][0] == "cause")
+    assert rows[0] == ["cause", "random", "xray (exact)"]
+    assert rows[2:] == [["failed: the lip bends", "0", "1"]]
+
+
 def test_one_variant_alone_has_no_difference() -> None:
     text = markdown(of([record("xray", 0)]))
     assert "There is one variant alone." in text

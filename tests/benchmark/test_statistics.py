@@ -13,6 +13,7 @@ from xray_drake.benchmark.statistics import (
     action_quartiles,
     actions,
     bootstrap_mean,
+    causes,
     containment,
     draws,
     drop_seconds,
@@ -252,6 +253,28 @@ def test_ends_and_outcomes() -> None:
     records[0]["actions"][1]["outcome"] = "failed"
     found = values([*records, failure("xray", 1)])
     assert (found["attempts_lifted"], found["attempts_failed"]) == (2, 1)
+
+
+def test_causes_are_told_without_names_and_numbers() -> None:
+    item = record("xray", 0, 3, objects=["book", "mug_003"])
+    for action, outcome, reason in zip(
+        item["actions"],
+        ("failed", "slipped", "failed"),
+        ("jaw hits book, mug_003", "holds 0.25 N, weighs 1 N", ""),
+        strict=True,
+    ):
+        action |= {"outcome": outcome, "reason": reason}
+    passed = "jaw: 12 too wide, 3 hit mug_003, 1 hit book; suction: 4 too wide"
+    item["actions"][0]["ranking"] = [
+        {"object": "book", "passed_over": passed},
+        {"object": "mug_003", "passed_over": ""},
+    ]
+    assert causes([item, failure("xray", 1)]) == {
+        "failed: jaw hits an object": 1,
+        "slipped: holds … N, weighs … N": 1,
+        "passed over: too wide": 1,
+        "passed over: hit an object": 1,
+    }
 
 
 def test_many_records_tell_policies_apart() -> None:

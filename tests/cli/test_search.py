@@ -229,6 +229,12 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         assert action["outcome"] in line
         what = "the target" if action["is_target"] else action["object"]
         assert what in line
+        first = action["ranking"][0]
+        assert f"ranked: {first['object']} {first['score']:.4g}" in out
+        for candidate in action["ranking"]:
+            if candidate["passed_over"]:
+                told = f"over {candidate['object']}: {candidate['passed_over']}"
+                assert told in out
     for before, after in itertools.pairwise(actions):
         assert before["support_after"] == after["support_before"]
     assert f"{len(actions)} of 2" in out

@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-import yaml
-from pydrake.common.yaml import yaml_dump_typed
-
+from xray_drake.configuration import tree_of
 from xray_drake.station.scenario import (
     Scenario,
     load_scenario,
@@ -104,11 +103,13 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
         return ()
     own, given = (
         _leaves(
-            replace(
-                each,
-                seed=0,
-                policy=replace(each.policy, name="", target_first=True),
-                perception=replace(each.perception, occupancy=""),
+            tree_of(
+                replace(
+                    each,
+                    seed=0,
+                    policy=replace(each.policy, name="", target_first=True),
+                    perception=replace(each.perception, occupancy=""),
+                )
             )
         )
         for each in (scenario, load_scenario(scenario.name, searched=False))
@@ -120,22 +121,18 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
     )
 
 
-def _leaves(scenario: Scenario) -> dict[str, str]:
+def _leaves(tree: Mapping[str, Any], path: str = "") -> dict[str, str]:
     """Returns the path of each key and its value as text."""
     found: dict[str, str] = {}
-
-    def walk(node: yaml.Node, path: str) -> None:
-        if isinstance(node, yaml.MappingNode) and node.value:
-            for key, value in node.value:
-                walk(value, f"{path}.{key.value}" if path else key.value)
+    for key, value in tree.items():
+        if isinstance(value, Mapping) and value:
+            found |= _leaves(value, f"{path}{key}.")
         else:
-            found[path] = _text(node)
-
-    walk(yaml.compose(yaml_dump_typed(scenario, schema=Scenario)), "")
+            found[f"{path}{key}"] = _text(value)
     return found
 
 
-def _text(node: yaml.Node) -> str:
-    if isinstance(node, yaml.SequenceNode):
-        return f"[{', '.join(map(_text, node.value))}]"
-    return str(node.value)
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_text, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)

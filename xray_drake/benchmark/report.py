@@ -2,6 +2,7 @@
 
 import io
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from xray_drake.benchmark.statistics import (
     QUARTILES,
     Estimate,
     actions,
+    causes,
     containment,
     draws,
     drop_seconds,
@@ -87,10 +89,12 @@ def markdown(report: Report) -> str:
         ("Success within k actions", _success_within(report)),
         ("Success by how the target starts", _success_by_part(report)),
         ("How rollouts end", _ends(report)),
+        ("Why grasps fail", _failures(report)),
         ("Time", _times(report)),
         ("Inference", _inference(report)),
     ):
-        lines += [f"## {title}", "", *section, "", report.made_by, ""]
+        if section:
+            lines += [f"## {title}", "", *section, "", report.made_by, ""]
         if title == "Success within k actions":
             lines += [f"![{title}]({SUCCESS})", ""]
     return "\n".join(lines)
@@ -261,6 +265,16 @@ def _ends(report: Report) -> list[str]:
         }
     )
     return [*lines, *([""] if reasons else []), *reasons]
+
+
+def _failures(report: Report) -> list[str]:
+    found = {v: causes(records) for v, records in report.by_variant.items()}
+    total = sum(found.values(), Counter())
+    rows = [
+        [cause, *(str(counts[cause]) for counts in found.values())]
+        for cause, _ in total.most_common()
+    ]
+    return _table(("cause", *(v.label for v in found)), rows) if rows else []
 
 
 def _times(report: Report) -> list[str]:

@@ -4,6 +4,7 @@ Intervals of rates are Wilson's; those of differences between two variants are
 percentile bootstraps that draw heaps, each with what both variants did on it.
 """
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -382,3 +383,42 @@ def _drops(records: Sequence[Record]) -> dict[HeapKey, float]:
         if "cpu_seconds" in record:
             drops.setdefault(heap_of(record), record["cpu_seconds"]["drop"])
     return drops
+
+
+def causes(records: Sequence[Record]) -> Counter[str]:
+    """Counts why grasps failed, and why candidates were passed over.
+
+    Objects and numbers are taken out of the words: "jaw hits an object". A
+    candidate that was passed over counts once for each cause.
+    """
+    found: Counter[str] = Counter()
+    for record in records:
+        for action in record.get("actions", []):
+            if action.get("reason"):
+                cause = _cause(action["reason"], record)
+                found[f"{action['outcome']}: {cause}"] += 1
+            for candidate in action.get("ranking", []):
+                parts = _PARTS.split(candidate["passed_over"])
+                for cause in dict.fromkeys(_cause(p, record) for p in parts):
+                    if cause:
+                        found[f"passed over: {cause}"] += 1
+    return found
+
+
+_PARTS = re.compile("; |, (?=[0-9])|(?:jaw|suction): ")
+_NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
+_NAMED = re.compile(r"[a-z]\w*_[0-9]\w*")
+
+
+def _cause(text: str, record: Record) -> str:
+    """Returns words without objects, and without numbers but for units."""
+    own = {*record.get("objects", ()), record["target"]}
+    words = re.sub(
+        r"\w+",
+        lambda m: (
+            "an object" if m[0] in own or _NAMED.fullmatch(m[0]) else m[0]
+        ),
+        text,
+    )
+    words = words.replace("an object, an object", "an object")
+    return _NUMBER.sub("…", re.sub("^[0-9]+ ", "", words))

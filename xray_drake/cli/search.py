@@ -25,9 +25,12 @@ from xray_drake.search.rollout import run_search
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario
 
+_MOST = 5
+"""Candidates of a ranking that are told."""
+
 
 class _Narrator:
-    """Prints one line per action."""
+    """Prints a line per action, its ranking, and what was passed over why."""
 
     def decided(
         self, diagram: SearchDiagram, context: Context, action: SearchAction
@@ -49,6 +52,17 @@ class _Narrator:
         if record.reason:
             parts.append(record.reason)
         typer.echo("  ".join(parts))
+        ranked = [f"{c.name} {c.score:.4g}" for c in record.ranking[:_MOST]]
+        others = len(record.ranking) - len(ranked)
+        if ranked:
+            more = f" and {others} more" if others else ""
+            typer.echo(f"      ranked: {', '.join(ranked)}{more}")
+        for candidate in record.ranking:
+            if candidate.passed_over:
+                typer.echo(
+                    f"      passed over {candidate.name}: "
+                    f"{candidate.passed_over}"
+                )
 
 
 def run(
