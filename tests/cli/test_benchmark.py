@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.benchmark.synthetic import record, write_folder
-from tests.cli.running import answer
+from tests.cli.running import answer, complaint, output
 from xray_drake.benchmark.comparison import make_report
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
 from xray_drake.benchmark.report import success_table
@@ -65,8 +65,7 @@ ASKED = (
 
 
 def test_the_table_is_of_what_was_asked_for(done: Path) -> None:
-    code, out, err = benchmark("--out", done, *ASKED)
-    assert (code, err) == (0, "")
+    out = output("benchmark", "--out", done, *ASKED)
     records = [
         record("largest", 30, 10, "horizon"),
         record("largest", 31, 6),
@@ -180,29 +179,17 @@ def test_bad_input_is_one_line(
 
 def test_rollouts_of_another_scenario_are_left_alone(done: Path) -> None:
     before = (done / SCENARIO).read_bytes()
-    code, _, err = benchmark("--out", done, *ASKED, "--target", "lid")
-    assert code == 2
-    (line,) = err.splitlines()
+    line = complaint("benchmark", "--out", done, *ASKED, "--target", "lid")
     assert str(done) in line
     assert (done / SCENARIO).read_bytes() == before
 
 
 def test_rollouts_are_not_gone_on_with_against_the_will(done: Path) -> None:
     before = (done / ROLLOUTS).read_bytes()
-    code, _, err = benchmark("--out", done, *ASKED, "--no-resume")
-    assert code == 2
-    (line,) = err.splitlines()
+    line = complaint("benchmark", "--out", done, *ASKED, "--no-resume")
     assert str(done) in line
     assert (done / ROLLOUTS).read_bytes() == before
     assert benchmark("--out", done, *ASKED, "--resume")[0] == 0
-
-
-def line_of(answered: tuple[int, str, str]) -> str:
-    """Returns the one line of bad input."""
-    code, _, err = answered
-    assert code == 2
-    (line,) = err.splitlines()
-    return line
 
 
 @pytest.mark.parametrize("where", [ROLLOUTS, MANIFEST])
@@ -231,7 +218,7 @@ def test_other_code_does_not_go_on(
         *("--occupancy", "learned" if field in ("weights", "dtype") else ""),
     )
     before = (folder / ROLLOUTS).read_bytes()
-    line = line_of(benchmark(*options))
+    line = complaint("benchmark", *options)
     assert named in line
     assert "--mix" in line
     assert (folder / ROLLOUTS).read_bytes() == before
@@ -244,7 +231,7 @@ def test_mixed_rollouts_are_called_so(
         old = record("largest", 32, code="0123")
         file.write(json.dumps(old) + "\n")
     options = (*ASKED, "--heaps", 3)
-    assert "code 0123" in line_of(benchmark("--out", done, *options))
+    assert "code 0123" in complaint("benchmark", "--out", done, *options)
     monkeypatch.setattr(
         "xray_drake.benchmark.rollouts._run_jobs",
         lambda jobs, workers: iter([record("xray", 32)]),
@@ -261,7 +248,7 @@ def test_mixed_rollouts_are_called_so(
 def test_two_benchmarks_do_not_write_to_one_folder(done: Path) -> None:
     before = (done / ROLLOUTS).read_bytes()
     with sole_writer(done):
-        line = line_of(benchmark("--out", done, *ASKED, "--heaps", 9))
+        line = complaint("benchmark", "--out", done, *ASKED, "--heaps", 9)
         # To read is no harm.
         assert answer("report", done)[0] == 0
     assert "is being written by another process" in line
@@ -291,15 +278,15 @@ def test_a_line_that_does_not_belong_is_named_and_stays(
     first, *others = path.read_text().splitlines()
     path.write_text("\n".join([first, line, *others]) + "\n")
     before = path.read_bytes()
-    assert named in line_of(benchmark("--out", done, *ASKED))
-    assert named in line_of(answer("report", done))
+    assert named in complaint("benchmark", "--out", done, *ASKED)
+    assert named in complaint("report", done)
     assert path.read_bytes() == before
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_text("not a folder", encoding="utf-8")
-    code, _, err = benchmark("--out", path / "folder", "--heaps", 1)
-    assert code == 1
-    (line,) = err.splitlines()
+    line = complaint(
+        "benchmark", "--out", path / "folder", "--heaps", 1, code=1
+    )
     assert str(path) in line

@@ -4,11 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from tests.cli.running import answer, complaint, output
 from tests.dataset.whole import bare_sample, flip_bit, write_dataset
 from xray_drake.cli import inspect as inspect_module
-from xray_drake.cli.main import app
 from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.sample import Sample
 
@@ -34,37 +33,32 @@ def folder(tmp_path: Path) -> Path:
     return write_dataset(tmp_path, manifest, _sample)
 
 
-def _run(*arguments: object) -> Any:
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 @pytest.mark.parametrize("options", [[], ["--fast"]])
 def test_check_of_a_sound_dataset(folder: Path, options: list[str]) -> None:
-    result = _run("dataset", "check", folder, *options)
-    assert result.exit_code == 0
-    assert result.stdout.startswith("sound")
-    assert "3 of 3 samples in 2 shards" in result.stdout
-    assert len(result.stdout.splitlines()) == 1
+    out = output("dataset", "check", folder, *options)
+    assert out.startswith("sound")
+    assert "3 of 3 samples in 2 shards" in out
+    assert len(out.splitlines()) == 1
 
 
 def test_check_of_a_damaged_dataset(folder: Path) -> None:
     flip_bit(folder / "train-00001.h5")
-    result = _run("dataset", "check", folder)
-    assert result.exit_code == 1
-    defect, count = result.stdout.splitlines()
+    code, out, _ = answer("dataset", "check", folder)
+    assert code == 1
+    defect, count = out.splitlines()
     assert defect.startswith("train-00001.h5: damaged or no shard: Can")
     assert count == "1 defect: 3 of 3 samples in 2 shards"
     (folder / "train-00000.h5").unlink()
-    result = _run("dataset", "check", "--fast", folder)
-    assert result.exit_code == 1
-    assert result.stdout.splitlines()[0] == "train-00000.h5: missing"
+    code, out, _ = answer("dataset", "check", "--fast", folder)
+    assert code == 1
+    assert out.splitlines()[0] == "train-00000.h5: missing"
 
 
 def test_check_as_json(folder: Path) -> None:
     (folder / "train-00000.h5").unlink()
-    result = _run("dataset", "check", "--json", folder)
-    assert result.exit_code == 1
-    report = json.loads(result.stdout)
+    code, out, _ = answer("dataset", "check", "--json", folder)
+    assert code == 1
+    report = json.loads(out)
     assert not report["sound"]
     assert report["defects"] == [
         {
@@ -80,31 +74,31 @@ def test_check_as_json(folder: Path) -> None:
 
 
 def test_info(folder: Path) -> None:
-    result = _run("dataset", "info", folder)
-    assert result.exit_code == 0
+    out = output("dataset", "info", folder)
     for words in ("3 of 3", "box_2to1", "32×24", "Drake 1.51.1", "100.0%"):
-        assert words in result.stdout
-    as_json = _run("dataset", "info", "--json", folder)
-    assert json.loads(as_json.stdout)["statistics"]["objects_max"] == 0
+        assert words in out
+    as_json = output("dataset", "info", "--json", folder)
+    assert json.loads(as_json)["statistics"]["objects_max"] == 0
 
 
 @pytest.mark.parametrize(
-    "command", [["dataset", "check"], ["dataset", "info"], ["inspect"]]
+    "command",
+    [
+        *(["dataset", "check"], ["dataset", "info"], ["inspect"]),
+        ["evaluate", "occupancy"],
+    ],
 )
 def test_no_dataset_is_one_line(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "nothing").mkdir()
-    result = _run(*command, tmp_path / "nothing")
-    assert result.exit_code == 2
-    (line,) = result.stderr.splitlines()
+    line = complaint(*command, tmp_path / "nothing")
     assert "nothing is no dataset" in line
     assert "xray-drake generate" in line
 
 
 def test_inspect_writes_a_figure(folder: Path) -> None:
     out = folder / "figure.png"
-    result = _run("inspect", folder, "--samples", 2, "--out", out)
-    assert result.exit_code == 0, result.output
-    assert result.stdout == f"wrote {out}\n"
+    told = output("inspect", folder, "--samples", 2, "--out", out)
+    assert told == f"wrote {out}\n"
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
@@ -112,7 +106,7 @@ def test_inspect_writes_beside_the_caller_by_default(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: Any
 ) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert _run("inspect", folder).exit_code == 0
+    assert answer("inspect", folder)[0] == 0
     assert Path("samples.png").is_file()
 
 
@@ -135,10 +129,7 @@ def test_what_inspect_cannot_do_is_one_line(
     code: int,
 ) -> None:
     monkeypatch.chdir(folder)
-    result = _run("inspect", folder, *options)
-    assert result.exit_code == code
-    (found,) = result.stderr.splitlines()
-    assert line in found
+    assert line in complaint("inspect", folder, *options, code=code)
 
 
 def test_a_draw_depends_on_its_seed(folder: Path) -> None:
@@ -183,10 +174,12 @@ def test_inspect_in_meshcat_goes_around(
 
     monkeypatch.setattr(viewers, "start_viewer", _Viewer)
     monkeypatch.setattr("builtins.input", enter)
-    result = _run("inspect", folder, "--meshcat", "--index", 2, "--index", 0)
-    assert result.exit_code == 0, result.output
-    assert "http://localhost:7000" in result.stdout
-    lines = [li for li in result.stdout.splitlines() if li[:6] == "sample"]
+    code, out, _ = answer(
+        "inspect", folder, "--meshcat", "--index", 2, "--index", 0
+    )
+    assert code == 0
+    assert "http://localhost:7000" in out
+    lines = [li for li in out.splitlines() if li[:6] == "sample"]
     assert [line.split(":")[0] for line in lines] == [
         "sample 2",
         "sample 0",

@@ -2,17 +2,16 @@ import ctypes.util
 import shutil
 
 import pytest
-from typer.testing import CliRunner
 
 import xray_drake.resources
+from tests.cli.running import answer
 from xray_drake.cli.doctor import SYSTEM_LIBRARIES
-from xray_drake.cli.main import app
 
 
 def doctor() -> tuple[int, list[str]]:
-    result = CliRunner().invoke(app, ["doctor"])
-    assert result.stderr == ""
-    return result.exit_code, result.stdout.splitlines()
+    code, out, err = answer("doctor")
+    assert err == ""
+    return code, out.splitlines()
 
 
 def line_about(lines: list[str], what: str) -> str:

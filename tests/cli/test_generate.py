@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.cli.running import answer
+from tests.cli.running import answer, complaint
 from tests.dataset.conftest import synthetic_sample
 from xray_drake.cli import generate as module
 from xray_drake.dataset.generator import ShardReport
@@ -20,9 +20,8 @@ from xray_drake.dataset.shards import (
 from xray_drake.files import read_json_lines, sole_writer
 from xray_drake.provenance import MANIFEST, read_runs
 
-generate = partial(
-    answer, "generate", "--images", 2, "--shard-size", 1, "--num-objects", 2
-)
+COMMAND = ("generate", "--images", 2, "--shard-size", 1, "--num-objects", 2)
+generate, line_of = partial(answer, *COMMAND), partial(complaint, *COMMAND)
 
 
 @pytest.fixture(autouse=True)
@@ -67,14 +66,6 @@ def folder(tmp_path: Path, made: list[str]) -> Path:
     return path
 
 
-def line_of(answered: tuple[int, str, str]) -> str:
-    """Returns the one line of bad input."""
-    code, _, err = answered
-    assert code == 2
-    (line,) = err.splitlines()
-    return line
-
-
 def test_a_manifest_lies_beside_the_shards(folder: Path) -> None:
     (run,) = read_runs(folder)
     assert run["command"] == "generate"
@@ -88,7 +79,7 @@ def test_a_dataset_has_one_writer(folder: Path, made: list[str]) -> None:
     (folder / "train-00001.h5").unlink()
     with sole_writer(folder):
         for options in ([], ["--resume"], ["--resume", "--mix"]):
-            line = line_of(generate(folder, *options))
+            line = line_of(folder, *options)
             assert "is being written by another process" in line
             assert str(folder) in line
     assert made == []
@@ -149,7 +140,7 @@ def test_other_code_does_not_go_on(
     tree = json.loads(path.read_text("utf-8"))
     tree["runs"][0][field] = value
     path.write_text(json.dumps(tree), "utf-8")
-    assert named in line_of(generate(folder, "--resume"))
+    assert named in line_of(folder, "--resume")
     assert made == []
     code, out, _ = generate(folder, "--resume", "--mix")
     assert code == 0
@@ -165,7 +156,7 @@ def test_other_versions_go_on_with_the_dataset_that_was_begun(
     begun = read_manifest(folder)
     newer = {"xray_drake": "9.0", "drake": "9.0"}
     monkeypatch.setattr("xray_drake.dataset.generator.versions", lambda: newer)
-    assert "begun with drake_version" in line_of(generate(folder, "--resume"))
+    assert "begun with drake_version" in line_of(folder, "--resume")
     assert generate(folder, "--resume", "--mix")[0] == 0
     assert read_manifest(folder) == begun
     with ShardReader(folder / "train-00001.h5") as shard:
@@ -179,6 +170,6 @@ def test_other_versions_go_on_with_the_dataset_that_was_begun(
 def test_other_options_are_another_dataset(
     options: tuple, named: str, folder: Path, made: list[str]
 ) -> None:
-    line = line_of(generate(folder, "--resume", *options))
+    line = line_of(folder, "--resume", *options)
     assert f"begun with {named}" in line
     assert made == []

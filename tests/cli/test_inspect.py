@@ -1,14 +1,14 @@
 """``xray-drake inspect`` of heaps and rollouts; of datasets: test_dataset."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
+from tests.cli import running
 from xray_drake.cli import inspect_search as module
 from xray_drake.cli.inspect import kind_of
-from xray_drake.cli.main import app
 
 SMALL = """\
 name: small
@@ -31,27 +31,12 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def recorded(small: Path) -> Path:
     """What ``search --json`` has written."""
     path = small.parent / "search.json"
-    result = CliRunner().invoke(
-        app, ["search", "--scenario", str(small), "--json", str(path)]
-    )
-    assert result.exit_code == 0, result.output
+    running.output("search", "--scenario", small, "--json", path)
     return path
 
 
-def inspect(*arguments: object) -> tuple[int, str, str]:
-    """Returns exit status, standard output and standard error."""
-    result = CliRunner().invoke(app, ["inspect", *map(str, arguments)])
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
-
-
-def complaint(*arguments: object) -> str:
-    """Returns the one line that bad input is answered with."""
-    code, out, err = inspect(*arguments)
-    assert (code, out) == (2, ""), err
-    (line,) = err.splitlines()
-    return line
+inspect = partial(running.answer, "inspect")
+complaint = partial(running.complaint, "inspect")
 
 
 def test_what_is_inspected(tmp_path: Path) -> None:

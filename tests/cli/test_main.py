@@ -9,6 +9,7 @@ import typer
 from pydrake.multibody.plant import MultibodyPlant
 from typer.testing import CliRunner
 
+from tests.cli.running import output
 from xray_drake import __version__
 from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.cli.main import app, errors_as_lines
@@ -19,19 +20,16 @@ from xray_drake.station.scenario import ScenarioError
 
 
 def test_version() -> None:
-    result = CliRunner().invoke(app, ["--version"])
-    assert result.exit_code == 0
-    assert result.stdout == f"xray-drake {__version__}\n"
+    assert output("--version") == f"xray-drake {__version__}\n"
 
 
 def test_help_names_every_command() -> None:
-    result = CliRunner().invoke(app, ["--help"])
-    assert result.exit_code == 0
+    told = output("--help")
     for command in (
         *("search", "benchmark", "doctor"),
-        *("generate", "dataset", "inspect", "objects"),
+        *("generate", "dataset", "inspect", "objects", "study"),
     ):
-        assert command in result.stdout
+        assert command in told
 
 
 def help_of(command: str) -> str:

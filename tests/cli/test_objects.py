@@ -1,18 +1,14 @@
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
 import pytest
-from typer.testing import CliRunner
 
-from xray_drake.cli.main import app
+from tests.cli.running import complaint, output
 from xray_drake.scene.library import object_names
 
-
-def invoke(*arguments: str) -> str:
-    result = CliRunner().invoke(app, ["objects", *arguments])
-    assert result.exit_code == 0, result.output
-    return result.stdout
+invoke = partial(output, "objects")
 
 
 def rows(*arguments: str) -> list[dict]:
@@ -74,10 +70,7 @@ def test_packaged_ones_come_on_request() -> None:
 def test_what_does_not_exist_is_one_line(
     arguments: list[str], told: str
 ) -> None:
-    result = CliRunner().invoke(app, ["objects", *arguments])
-    assert result.exit_code == 2
-    (line,) = result.stderr.splitlines()
-    assert told in line
+    assert told in complaint("objects", *arguments)
 
 
 def test_show_writes_a_sheet(tmp_path: Path) -> None:
@@ -104,11 +97,7 @@ def test_export(tmp_path: Path) -> None:
     assert (folder / "chair_000.sdf").is_file()
     assert (folder / "chair_000_visual.obj").is_file()
     assert (folder / "carton_009.sdf").is_file()
-    again = CliRunner().invoke(
-        app, ["objects", "export", str(folder), "chair_000"]
-    )
-    assert again.exit_code == 2
-    assert "--force" in again.stderr
+    assert "--force" in complaint("objects", "export", folder, "chair_000")
     invoke("export", str(folder), "chair_001", "--format", "obj", "--force")
     assert (folder / "chair_001.obj").is_file()
     assert (folder / "chair_000.sdf").is_file()

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from tests.benchmark.synthetic import record, write_folder
-from tests.cli.running import answer
+from tests.cli.running import answer, complaint
 from xray_drake.benchmark.comparison import make_report
 from xray_drake.benchmark.records import collect
 from xray_drake.benchmark.report import markdown, success_table
@@ -41,9 +41,7 @@ def test_folders_are_merged_into_another(
     one: Path, two: Path, tmp_path: Path
 ) -> None:
     out_folder = tmp_path / "new" / "out"
-    code, _, err = report(one, two, "--out", out_folder)
-    assert code == 0
-    (line,) = err.splitlines()
+    line = complaint("report", one, two, "--out", out_folder, code=0)
     assert line.startswith("xray-drake: repeated rollouts, left out: 1 ")
     text = (out_folder / "report.md").read_text(encoding="utf-8")
     assert "3 rollouts on 2 heaps" in text
@@ -54,18 +52,13 @@ def test_what_does_not_belong_together_is_one_line(
     one: Path, two: Path
 ) -> None:
     (two / "scenario.yaml").write_text("horizon: 4\n", encoding="utf-8")
-    code, out, err = report(one, two)
-    assert (code, out) == (2, "")
-    (line,) = err.splitlines()
-    assert line.startswith("xray-drake: ")
+    line = complaint("report", one, two)
     assert str(one) in line and str(two) in line
     assert not (one / "report.md").exists()
 
 
 def test_a_folder_without_rollouts_is_one_line(tmp_path: Path) -> None:
-    code, _, err = report(tmp_path / "none")
-    assert code == 2
-    (line,) = err.splitlines()
+    line = complaint("report", tmp_path / "none")
     assert str(tmp_path / "none") in line
 
 
@@ -74,7 +67,5 @@ def test_a_place_that_cannot_be_written_is_one_line(
 ) -> None:
     path = tmp_path / "file"
     path.write_text("not a folder", encoding="utf-8")
-    code, _, err = report(one, "--out", path)
-    assert code == 1
-    (line,) = err.splitlines()
+    line = complaint("report", one, "--out", path, code=1)
     assert str(path) in line

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 
+from tests.cli import running
 from tests.cli.running import answer
 from tests.disk import full_disk
 from xray_drake.cli.configure import configure
@@ -71,14 +72,7 @@ def small(tmp_path: Path) -> Path:
 search = partial(answer, "search")
 
 
-def complaint(*arguments: object) -> str:
-    """Returns the one line that bad input is answered with."""
-    code, out, err = search(*arguments)
-    assert code == 2
-    assert out.strip() == "", "nothing has been begun"
-    (line,) = err.splitlines()
-    assert line.startswith("xray-drake: ")
-    return line
+complaint = partial(running.complaint, "search")
 
 
 @pytest.mark.parametrize(

@@ -3,16 +3,17 @@
 import json as json_format
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.options import AsJson, one_of
+from xray_drake.cli.progress import counting_bar
 from xray_drake.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -169,9 +170,10 @@ def export(
     out.mkdir(parents=True, exist_ok=True)
     from xray_drake.scene.library import make_object
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        for name in bar.track(chosen, description="objects"):
+    with counting_bar(Console(stderr=True), "objects") as progress:
+        for done, name in enumerate(chosen, 1):
             _export(make_object(name), out, format)
+            progress(done, len(chosen))
     typer.echo(f"{len(chosen)} objects in {out}")
 
 
@@ -268,13 +270,13 @@ def _write_sheet(
 
     if path.suffix.lower() != ".png":
         raise ValueError(f"{path}: a contact sheet is a PNG file")
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("drawing", total=len(models))
+    drawn = count(1)
+    with counting_bar(Console(stderr=True), "drawing") as progress:
         sheet = contact_sheet(
             models,
             columns=columns,
             size=size,
-            progress=lambda: bar.advance(task),
+            progress=lambda: progress(next(drawn), len(models)),
         )
     _, data = cv2.imencode(".png", sheet[..., ::-1])
     path.write_bytes(data.tobytes())
