@@ -1,8 +1,9 @@
 import json
 import random
-from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,22 +26,15 @@ from xray_drake.station.scenario import (
 )
 
 
-def demo(change: Callable[[Scenario], None] = lambda _: None) -> Scenario:
+def demo(**changes: Any) -> Scenario:
+    """Returns the scenario with fields, "scene__meshes", changed."""
     scenario = load_scenario("demo")
-    change(scenario)
+    for path, value in changes.items():
+        *parents, field = path.split("__")
+        owner = reduce(getattr, parents, scenario)
+        assert hasattr(owner, field)
+        setattr(owner, field, value)
     return scenario
-
-
-def change_heap(scenario: Scenario) -> None:
-    scenario.scene.num_objects = 9
-
-
-def change_horizon(scenario: Scenario) -> None:
-    scenario.horizon = 9
-
-
-def change_planner(scenario: Scenario) -> None:
-    scenario.gripper.quasi_static.speed = 0.9
 
 
 def test_a_folder_without_rollouts_has_none(tmp_path: Path) -> None:
@@ -49,21 +43,20 @@ def test_a_folder_without_rollouts_has_none(tmp_path: Path) -> None:
 
 
 def test_what_a_rollout_chooses_is_not_of_the_shared_scenario() -> None:
-    def change(scenario: Scenario) -> None:
-        scenario.seed = 17
-        scenario.policy.name = "random"
-        scenario.policy.target_first = False
-        scenario.perception.occupancy = "learned"
-
-    assert shared_scenario(demo(change)) == shared_scenario(demo())
+    changed = demo(
+        seed=17,
+        policy__name="random",
+        policy__target_first=False,
+        perception__occupancy="learned",
+    )
+    assert shared_scenario(changed) == shared_scenario(demo())
     text = shared_scenario(demo())
-    assert shared_scenario(demo(change_horizon)) != text
+    assert shared_scenario(demo(horizon=9)) != text
     assert shared_scenario(parse_scenario(text, "again")) == text
 
 
 def test_the_scenario_given_is_left_alone() -> None:
-    scenario = demo()
-    scenario.seed, scenario.policy.name = 17, "random"
+    scenario = demo(seed=17, policy__name="random")
     shared_scenario(scenario)
     assert (scenario.seed, scenario.policy.name) == (17, "random")
 
@@ -116,33 +109,38 @@ def test_a_line_twice_in_one_folder_counts_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [change_heap, change_horizon, change_planner]
+    "change",
+    [
+        {"scene__num_objects": 9},
+        {"horizon": 9},
+        {"gripper__quasi_static__speed": 0.9},
+    ],
 )
 @pytest.mark.parametrize("seed", [1, 2])
 def test_heaps_of_other_scenarios_do_not_mix(
-    change: Callable[[Scenario], None], seed: int, tmp_path: Path
+    change: dict[str, Any], seed: int, tmp_path: Path
 ) -> None:
     one = write_folder(tmp_path / "one", [record("xray", 1)])
-    two = write_folder(tmp_path / "two", [record("xray", seed)], demo(change))
+    two = write_folder(tmp_path / "two", [record("xray", seed)], demo(**change))
     with pytest.raises(ValueError, match=r"one and .*two are of different"):
         collect([one, two])
 
 
-def change_policy(scenario: Scenario) -> None:
-    scenario.policy.min_visible_pixels = 99
-
-
-def change_geometric(scenario: Scenario) -> None:
-    scenario.perception.geometric.rotations = 16
-
-
-@pytest.mark.parametrize("change", [change_policy, change_geometric])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"policy__min_visible_pixels": 99},
+        {"perception__geometric__rotations": 16},
+    ],
+)
 def test_one_variant_has_one_setting(
-    change: Callable[[Scenario], None], tmp_path: Path
+    change: dict[str, Any], tmp_path: Path
 ) -> None:
     one = write_folder(tmp_path / "one", [record("xray", 1)])
-    two = write_folder(tmp_path / "two", [record("xray", 2)], demo(change))
-    with pytest.raises(ValueError, match=r"both hold xray \(geom") as error:
+    two = write_folder(tmp_path / "two", [record("xray", 2)], demo(**change))
+    with pytest.raises(
+        ValueError, match=r"both hold xray \(geometric\)"
+    ) as error:
         collect([one, two])
     assert len(str(error.value).splitlines()) == 1
 
@@ -150,28 +148,26 @@ def test_one_variant_has_one_setting(
 def test_settings_that_a_variant_does_not_use_may_differ(
     tmp_path: Path,
 ) -> None:
-    def change(scenario: Scenario) -> None:
-        scenario.perception.weights = "other.safetensors"
-        scenario.perception.geometric.rotations = 16
-
+    changed = demo(
+        perception__weights="other.safetensors",
+        perception__geometric__rotations=16,
+    )
     one = write_folder(
         tmp_path / "one", [record("xray", 1), record("random", 1)]
     )
     other = record("xray", 1, occupancy="learned")
-    two = write_folder(
-        tmp_path / "two", [other, record("random", 2)], demo(change)
-    )
+    two = write_folder(tmp_path / "two", [other, record("random", 2)], changed)
     assert len(collect([one, two]).records) == 4
-
-
-def change_floor(scenario: Scenario) -> None:
-    scenario.perception.geometric.floor = [-0.2, 0.2, -0.2, 0.2]
 
 
 def test_every_variant_is_told_the_floor(tmp_path: Path) -> None:
     rollout = record("xray", 1, occupancy="learned")
     one = write_folder(tmp_path / "one", [rollout])
-    two = write_folder(tmp_path / "two", [rollout], demo(change_floor))
+    two = write_folder(
+        tmp_path / "two",
+        [rollout],
+        demo(perception__geometric__floor=[-0.2, 0.2, -0.2, 0.2]),
+    )
     with pytest.raises(ValueError, match=r"both hold xray \(learned\)"):
         collect([one, two])
 
@@ -181,17 +177,13 @@ def test_the_scenario_beside_the_rollouts_holds_in_any_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
 
-    def change(scenario: Scenario) -> None:
-        scenario.scene.meshes = ["in"]
-
-    text = shared_scenario(demo(change))
+    text = shared_scenario(demo(scene__meshes=["in"]))
     assert parse_scenario(text, "it").scene.meshes == [f"{tmp_path}/in"]
 
 
 def test_targets_come_together(tmp_path: Path) -> None:
     one = write_folder(tmp_path / "one", [record("xray", 1)])
-    scenario = demo()
-    scenario.scene = replace(scenario.scene, target="domino")
+    scenario = demo(scene__target="domino")
     two = write_folder(
         tmp_path / "two", [record("xray", 1, target="domino")], scenario
     )
@@ -218,23 +210,18 @@ def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
 
 
 def test_a_record_may_name_its_files_by_another_path(tmp_path: Path) -> None:
-    def own(scenario: Scenario) -> None:
-        scenario.seed = 1
-        scenario.scene.meshes = ["meshes/tools"]
-        scenario.policy.name = "random"
-
-    def absolute(scenario: Scenario) -> None:
-        own(scenario)
-        scenario.scene.meshes = ["/somewhere/meshes/tools"]
-
-    def others(scenario: Scenario) -> None:
-        own(scenario)
-        scenario.scene.meshes = ["meshes/toys"]
-
-    scenario = demo(own)
-    for change, belongs in ((own, True), (absolute, True), (others, False)):
-        item = record("random", 1, scenario=dump_scenario(demo(change)))
-        folder = write_folder(tmp_path / change.__name__, [item], scenario)
+    own = {"seed": 1, "policy__name": "random"}
+    scenario = demo(**own, scene__meshes=["meshes/tools"])
+    for i, (path, belongs) in enumerate(
+        [
+            ("meshes/tools", True),
+            ("/somewhere/meshes/tools", True),
+            ("meshes/toys", False),
+        ]
+    ):
+        text = dump_scenario(demo(**own, scene__meshes=[path]))
+        item = record("random", 1, scenario=text)
+        folder = write_folder(tmp_path / str(i), [item], scenario)
         if belongs:
             assert collect([folder]).records == [item]
         else:
@@ -245,26 +232,26 @@ def test_a_record_may_name_its_files_by_another_path(tmp_path: Path) -> None:
 def test_changes_are_told(tmp_path: Path) -> None:
     assert changes(demo()) == ()
 
-    def change(scenario: Scenario) -> None:
+    changed = demo(
         # A rollout's own.
-        scenario.seed = 3
-        scenario.policy.name = "random"
-        scenario.perception.occupancy = "geometric"
+        seed=3,
+        policy__name="random",
+        perception__occupancy="geometric",
         # The scenario's.
-        scenario.horizon = 5
-        scenario.scene.heap.sleep = False
-        scenario.scene.meshes = ["/a", "/b"]
-        scenario.camera.X_PB.translation = [0.0, 0.0, 0.9]
-
-    found = changes(demo(change))
+        horizon=5,
+        scene__heap__sleep=False,
+        scene__meshes=["/a", "/b"],
+        camera__X_PB__translation=[0.0, 0.0, 0.9],
+    )
+    found = changes(changed)
     assert "horizon 5, not 10" in found
     assert "scene.meshes [/a, /b], not []" in found
     assert "camera.X_PB.translation [0.0, 0.0, 0.9], not [0.0, 0.0, 0.8]" in (
         found
     )
-    folder = write_folder(tmp_path / "a", [record("xray", 1)], demo(change))
+    folder = write_folder(tmp_path / "a", [record("xray", 1)], changed)
     assert collect([folder]).changed == tuple(
         text for text in found if not text.startswith("perception.occupancy")
     )
-    own = replace(demo(change), name="mine")
+    own = replace(changed, name="mine")
     assert changes(own) == ()

@@ -195,7 +195,7 @@ def test_failures_are_shown_by_cause() -> None:
     failed["actions"][0] |= {"outcome": "failed", "reason": "the lip bends"}
     text = markdown(of([failed, record("random", 0)]))
     (rows,) = (t for t in tables(text) if t[0][0] == "cause")
-    assert rows[0] == ["cause", "random", "xray (exact)"]
+    assert rows[0] == ["cause", "random", "xray (geometric)"]
     assert rows[2:] == [["failed: the lip bends", "0", "1"]]
 
 

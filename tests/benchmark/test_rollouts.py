@@ -299,7 +299,7 @@ def test_a_worker_that_dies_costs_one_rollout(
     assert keys(records) == [
         (seed, label)
         for seed in SEEDS
-        for label in ("largest", "random", "xray (exact)")
+        for label in ("largest", "random", "xray (geometric)")
     ]
     for item in records:
         if item["policy"] == "random":
