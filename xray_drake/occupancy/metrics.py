@@ -5,7 +5,8 @@ truth and p the prediction, both (H, W) in [0, 1]. Of one image there are
 counts; counts add up to those of a set.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
+from operator import add
 
 import numpy as np
 
@@ -38,13 +39,7 @@ class PixelCounts:
     union: int = 0
 
     def __add__(self, other: "PixelCounts") -> "PixelCounts":
-        return PixelCounts(
-            tp=self.tp + other.tp,
-            tn=self.tn + other.tn,
-            positives=self.positives + other.positives,
-            negatives=self.negatives + other.negatives,
-            union=self.union + other.union,
-        )
+        return PixelCounts(*map(add, astuple(self), astuple(other)))
 
     @property
     def balanced_accuracy(self) -> float:
@@ -100,12 +95,7 @@ class CalibrationCounts:
                 f"counts in {self.pixels.size} and in {other.pixels.size} "
                 "bins do not add up"
             )
-        return CalibrationCounts(
-            pixels=self.pixels + other.pixels,
-            predicted=self.predicted + other.predicted,
-            observed=self.observed + other.observed,
-            squared_error=self.squared_error + other.squared_error,
-        )
+        return CalibrationCounts(*map(add, astuple(self), astuple(other)))
 
     @property
     def expected_calibration_error(self) -> float:

@@ -100,25 +100,16 @@ class OccupancyInference(CollectableLeafSystem):
         self._inference = inference
         self._shape = height, width
         camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
-        self._depth_image = self.DeclareAbstractInputPort(
-            name="depth_image",
-            model_value=AbstractValue.Make(ImageDepth32F(width, height)),
-        )
-        self._target_mask = self.DeclareAbstractInputPort(
-            name="target_mask", model_value=AbstractValue.Make(TargetMask())
-        )
-        self._camera = self.DeclareAbstractInputPort(
-            name="camera", model_value=AbstractValue.Make(camera)
+        self._inputs = (
+            self.declare_input("depth_image", ImageDepth32F(width, height)),
+            self.declare_input("target_mask", TargetMask()),
+            self.declare_input("camera", camera),
         )
         self._answered = self.DeclareCacheEntry(
             description="last answer",
             allocate=lambda: AbstractValue.Make(_Answered()),
             calc=self._calc_answered,
-            prerequisites_of_calc={
-                self._depth_image.ticket(),
-                self._target_mask.ticket(),
-                self._camera.ticket(),
-            },
+            prerequisites_of_calc={port.ticket() for port in self._inputs},
         )
         self.DeclareAbstractOutputPort(
             name="occupancy",
@@ -132,9 +123,7 @@ class OccupancyInference(CollectableLeafSystem):
         output.set_value(answered.distribution)
 
     def _calc_answered(self, context: Context, output: AbstractValue) -> None:
-        image: ImageDepth32F = self._depth_image.Eval(context)
-        mask: TargetMask = self._target_mask.Eval(context)
-        camera: PinholeCamera = self._camera.Eval(context)
+        image, mask, camera = (port.Eval(context) for port in self._inputs)
         if camera.shape != self._shape:
             raise ValueError(
                 f"{self.get_name()}: the camera's images are {camera.shape}, "

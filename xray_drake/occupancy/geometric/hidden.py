@@ -138,11 +138,15 @@ class HiddenSearch:
         self, heights: np.ndarray, camera: PinholeCamera
     ) -> tuple[Window, list[np.ndarray]] | None:
         """Returns the window around what is hidden, and where columns show."""
+
+        def visible_in(window: Window) -> list[np.ndarray]:
+            return [
+                _visible_columns(heights, camera, window, levels, top)
+                for levels, top in self._groups
+            ]
+
         whole = self._floor_window()
-        visible = [
-            _visible_columns(heights, camera, whole, levels, top)
-            for levels, top in self._groups
-        ]
+        visible = visible_in(whole)
         hidden = np.minimum.reduce(visible) == 0
         floor = self._floor.half_planes(self._config.floor_tolerance)
         if (on_floor := inside(whole, floor)) is not None:
@@ -159,11 +163,7 @@ class HiddenSearch:
         )
         if window.rows * window.columns >= whole.rows * whole.columns:
             return whole, visible
-        visible = [
-            _visible_columns(heights, camera, window, levels, top)
-            for levels, top in self._groups
-        ]
-        return window, visible
+        return window, visible_in(window)
 
     def _floor_window(self) -> Window:
         cell, tolerance = self._config.cell, self._config.floor_tolerance

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -235,10 +235,7 @@ def load_inference(
     path: Path,
     *,
     target_size: np.ndarray,
-    output: Output = "occupancy",
-    scaling: bool = True,
-    dtype: str = DTYPES[0],
-    floor: Sequence[float] | None = None,
+    **settings: Any,
 ) -> LearnedInference:
     """Reads a network from disk and prepares it for a target.
 
@@ -246,10 +243,8 @@ def load_inference(
         path: of the weights; or a folder of networks of one box each, of which
             the one with the nearest aspect ratio is taken (section IV.C).
         target_size: (3,) length, width, thickness, m.
-        output: see :class:`LearnedInference`.
-        scaling: see :class:`LearnedInference`.
-        dtype: see :class:`LearnedInference`.
-        floor: see :class:`LearnedInference`.
+        settings: output, scaling, dtype and floor of
+            :class:`LearnedInference`.
 
     Raises:
         WeightsError: there are no weights, or they are no network's of this
@@ -260,15 +255,7 @@ def load_inference(
         path = _nearest(path, target_size)
     changed = path.stat().st_mtime_ns if path.is_file() else 0
     net, card = _load(path.resolve(), changed)
-    return LearnedInference(
-        net,
-        card,
-        target_size,
-        output=output,
-        scaling=scaling,
-        dtype=dtype,
-        floor=floor,
-    )
+    return LearnedInference(net, card, target_size, **settings)
 
 
 @lru_cache(maxsize=16)
