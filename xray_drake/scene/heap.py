@@ -298,8 +298,7 @@ class _Drop:
         R = _random_rotation(self._rng)
         self._release(item, R, center + self._offset(), height)
         self._advance(config.drop_period)
-        done = len(self._all) - len(self._parked)
-        self._progress(done / (len(self._all) + 4))
+        self._progress(len(self._dropped()) / (len(self._all) + 4))
 
     def _dump(self) -> None:
         """Stacks the objects loosely in the tray and lets all fall."""
@@ -377,8 +376,7 @@ class _Drop:
     def _settle(self) -> None:
         """Waits until nothing has moved for a whole round.
 
-        As :class:`xray_drake.scene.rest.RestTest`, but looked at more often,
-        and later more tolerant.
+        As ``RestTest``, but looked at more often, and later more tolerant.
         """
         config = self._config
         deadline = self._root.get_time() + config.rest_timeout
@@ -446,13 +444,12 @@ class _Drop:
         )
 
     def _snapshot(self, seed: int, attempt: int, count: int) -> Heap:
-        config = self._config
-        deadline = self._root.get_time() + config.snapshot_timeout
+        deadline = self._root.get_time() + self._config.snapshot_timeout
         while self._root.get_time() < deadline:
             before = self._corners()
             self._advance(_SNAPSHOT_ROUND)
             moved = np.linalg.norm(self._corners() - before, axis=-1)
-            if moved.max() <= config.snapshot_motion:
+            if moved.max() <= self._config.snapshot_motion:
                 break
         self._remove_outside()
         return self._result(seed, attempt, count)

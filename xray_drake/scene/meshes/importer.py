@@ -159,11 +159,7 @@ def import_meshes(
         },
     )
     files = find_meshes(folder)
-    masses, idle = masses_of(files, read_masses(folder))
-    if idle:
-        _logger.warning(
-            "%s: no mesh is called %s", folder / MASSES_FILE, _some(idle)
-        )
+    masses = _masses(folder, files)
     settings = Settings(scale, max_pieces, max_vertices, max_loss)
     cache = cache_folder() / "meshes" if cache_dir is None else Path(cache_dir)
 
@@ -177,25 +173,34 @@ def import_meshes(
 
     if not all(outcome.kept for outcome in outcomes.values()):
         _logger.warning("cannot write to %s: next time takes as long", cache)
-    result = _collected(files, outcomes, masses, density, max_loss)
-    if not result.models:
-        path, reason = result.rejected[0]
-        raise ValueError(
-            f"none of the {len(files)} mesh files in {folder} can be used; "
-            f"{printable(path.name)}: {reason}"
-        )
+    result = _collected(folder, files, outcomes, masses, density, max_loss)
     _logger.info("%s: %s", folder, result.summary())
     return result
 
 
+def _masses(folder: Path, files: list[MeshFile]) -> list[float | None]:
+    """Reads the masses, and logs the names that belong to no file."""
+    masses, idle = masses_of(files, read_masses(folder))
+    if idle:
+        _logger.warning(
+            "%s: no mesh is called %s", folder / MASSES_FILE, _some(idle)
+        )
+    return masses
+
+
 def _collected(
+    folder: Path,
     files: list[MeshFile],
     outcomes: dict[int, Outcome],
     masses: list[float | None],
     density: float,
     max_loss: LossLimits,
 ) -> MeshImport:
-    """Makes the objects, and logs what is rejected or was repaired."""
+    """Makes the objects, and logs what is rejected or was repaired.
+
+    Raises:
+        ValueError: no file can be used.
+    """
     models, rejected, losses, notes = [], [], {}, {}
     for index, file in enumerate(files):
         outcome = outcomes[index]
@@ -214,6 +219,12 @@ def _collected(
         if len(outcome.prepared.notes):
             notes[model.name] = "; ".join(map(str, outcome.prepared.notes))
             _logger.warning("%s: %s", file.path, notes[model.name])
+    if not models:
+        path, reason = rejected[0]
+        raise ValueError(
+            f"none of the {len(files)} mesh files in {folder} can be used; "
+            f"{printable(path.name)}: {reason}"
+        )
     return MeshImport(
         models=tuple(models),
         losses=losses,
