@@ -38,10 +38,10 @@ _LIGHTS = [
     LightParameter(
         type="directional",
         frame="world",
-        direction=[-0.25, 0.55, -0.8],
-        intensity=0.55,
+        direction=[-0.2, 0.4, -0.9],
+        intensity=0.7,
     ),
-    LightParameter(type="point", frame="camera", intensity=0.8),
+    LightParameter(type="point", frame="camera", intensity=0.55),
 ]
 
 
@@ -49,7 +49,7 @@ def object_picture(model: ObjectModel, size: int) -> np.ndarray:
     """Renders one object from the front, above and the side, filling the tile.
 
     Args:
-        model: drawn with its body z-axis up, on a ground that takes a shadow.
+        model: drawn with its body z-axis up.
         size: width and height of the picture, pixels.
 
     Returns:
