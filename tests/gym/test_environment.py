@@ -27,6 +27,7 @@ from xray_drake.scene.heap import Heap, HeapError
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.rollout import run_search
 from xray_drake.station.scenario import Scenario
+from xray_drake.testing.tiny import make_tiny_scenario
 
 TARGET = "box_2to1"
 GAMMA = 0.9
@@ -53,19 +54,14 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     record = copy.deepcopy(record)
     for action in record["actions"]:
         action.pop("seconds", None)
-        del action["score"]  # an agent's choice has none
+        del action["score"], action["ranking"]  # an agent has none
     del record["policy"]
     return record
 
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    scenario = Scenario(name="tiny", seed=99)  # reset's seed replaces it
-    scenario.scene.num_objects = 4
-    scenario.perception.occupancy = "geometric"
-    # An agent does as it likes; this is to be the policy's scenario.
-    scenario.policy.target_first = False
-    return scenario
+    return dataclasses.replace(make_tiny_scenario(), seed=99)  # not reset's
 
 
 @pytest.fixture
@@ -284,6 +280,8 @@ def test_a_heap_of_more_objects_than_actions(tiny_heap: Heap) -> None:
     few = Scenario()
     few.scene.num_objects = 2
     env = MechanicalSearchEnv(few, drop=lambda scenario: tiny_heap)
+    with pytest.raises(ValueError, match="no options"):
+        env.reset(options={"heap": 3})
     with pytest.raises(ValueError, match="5 objects but there are 3 actions"):
         env.reset(seed=0)
 
@@ -302,11 +300,6 @@ def test_what_cannot_be_made(settings: dict[str, Any], message: str) -> None:
         MechanicalSearchEnv(**settings)
 
 
-def test_reset_has_no_options(scenario: Scenario) -> None:
-    with pytest.raises(ValueError, match="no options"):
-        MechanicalSearchEnv(scenario).reset(options={"heap": 3})
-
-
 def test_rewards() -> None:
     before, after = SearchState(900, 0.25), SearchState(400, 0.75)
     lifted = SearchState(0, 1.0, success=True)
@@ -323,43 +316,28 @@ def test_rewards() -> None:
 def test_agents() -> None:
     labels = np.full((4, 6), -1, np.int16)
     labels[:2], labels[2, :3], labels[3, 3:] = 0, 1, 2
-    rho = np.zeros((4, 6), np.float32)
-    rho[2, :2] = 1.0
-    rho[0, 0] = 0.5
-    observation = {
-        "instances": labels,
-        "occupancy": rho,
-        "support": (rho > 0).astype(np.uint8),
-        "target_mask": (labels == 2).astype(np.uint8),
-        "action_mask": np.array([1, 1, 0, 0], np.int8),
-    }
-    assert xray_agent(observation) == 1
-    observation["action_mask"] = np.array([1, 0, 0, 0], np.int8)
-    assert xray_agent(observation) == 0
-    observation["action_mask"] = np.array([1, 1, 1, 0], np.int8)
-    assert xray_agent(observation) == 2  # the target first
-    assert policy_agent("xray", target_first=False)(observation) == 1
-    rng = np.random.default_rng(0)
-    drawn = {random_agent(observation, rng) for _ in range(50)}
-    assert drawn == {0, 1, 2}
-    observation["action_mask"][:] = 0
-    assert xray_agent(observation) == random_agent(observation, rng) == 0
+    rho = np.full((4, 6), 0.1, np.float32)
+    rho[2, :2] = 0.5
+    rho[0, 0] = 0.3
 
+    def seen(*valid: int) -> dict[str, np.ndarray]:
+        return {
+            "instances": labels,
+            "occupancy": rho,
+            # A network's answer is faint where it is no support.
+            "support": (rho > 0.2).astype(np.uint8),
+            "target_mask": (labels == 2).astype(np.uint8),
+            "action_mask": np.isin(np.arange(4), valid).astype(np.int8),
+        }
 
-def test_an_agent_counts_the_support_alone() -> None:
-    """A network's answer is faint where it is no support, over many pixels."""
-    labels = np.repeat([[0, 0, 0, 1]], 12, axis=0).astype(np.int16)
-    rho = np.full((12, 4), 0.019, np.float32)
-    rho[:10, 3] = 0.05
-    observation = {
-        "instances": labels,
-        "occupancy": rho,
-        "support": (rho > 0.02).astype(np.uint8),
-        "target_mask": np.zeros((12, 4), np.uint8),
-        "action_mask": np.array([1, 1], np.int8),
-    }
     assert rho[labels == 0].sum() > rho[labels == 1].sum()
-    assert xray_agent(observation) == 1
+    assert xray_agent(seen(0, 1)) == 1
+    assert xray_agent(seen(0)) == 0
+    assert xray_agent(seen(0, 1, 2)) == 2  # the target first
+    assert policy_agent("xray", target_first=False)(seen(0, 1, 2)) == 1
+    rng = np.random.default_rng(0)
+    assert {random_agent(seen(0, 1, 2), rng) for _ in range(50)} == {0, 1, 2}
+    assert xray_agent(seen()) == random_agent(seen(), rng) == 0
 
 
 def test_gymnasiums_checker(quick: Scenario, pair: Heap) -> None:

@@ -5,22 +5,14 @@ from xray_drake.messages import Grasp, GraspKind
 from xray_drake.policy.beyond.chance import chance
 
 
-def grasp(quality: float) -> Grasp:
-    return Grasp(GraspKind.SUCTION, "cup", quality=quality)
-
-
-def test_no_grasp_has_no_chance() -> None:
-    assert chance(Grasp()) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("quality", "share"), [(0.05, 0.5), (0.2, 0.5), (0.7, 0.94), (1.0, 0.94)]
-)
-def test_what_was_counted(quality: float, share: float) -> None:
-    assert chance(grasp(quality)) == pytest.approx(share)
-
-
-def test_better_grasps_have_better_chances() -> None:
-    chances = [chance(grasp(q)) for q in np.linspace(0.01, 1.0, 50)]
+def test_better_grasps_have_better_chances_between_what_was_counted() -> None:
+    grasps = [
+        Grasp(GraspKind.SUCTION, "cup", quality=quality)
+        for quality in np.linspace(0.01, 1.0, 100)
+    ]
+    chances = [chance(grasp) for grasp in grasps]
     assert chances == sorted(chances)
-    assert len(set(chances)) > 20
+    assert chances[:20] == [0.5] * 20
+    assert chances[-30:] == pytest.approx([0.94] * 30)
+    assert len(set(chances)) > 40
+    assert chance(Grasp()) == 0.0

@@ -14,7 +14,7 @@ from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.search.rollout import run_search
-from xray_drake.search.transitions import Transitions
+from xray_drake.search.transitions import TransitionRecall, Transitions
 from xray_drake.station.scenario import Scenario
 
 
@@ -121,20 +121,20 @@ def test_another_order_is_another_heap(
     transitions = Transitions()
     diagram = searching(tiny_scenario, tiny_heap, "xray")
     first = run_search(diagram, transitions=transitions)
-    recall = transitions.watch(diagram)
+    recall = TransitionRecall(diagram, transitions)
     context = diagram.CreateDefaultContext()
     one, other = (
         SearchAction(number=n, grasp=first.actions[n - 1].grasp) for n in (1, 2)
     )
     recall.decided(diagram, context, other)
     assert recall._next is None
-    recall = transitions.watch(diagram)
+    recall = TransitionRecall(diagram, transitions)
     recall.decided(diagram, context, one)
     assert recall._next is not None
     nearly = replace(
         one, grasp=replace(one.grasp, width=one.grasp.width + 1e-9)
     )
-    recall = transitions.watch(diagram)
+    recall = TransitionRecall(diagram, transitions)
     recall.decided(diagram, context, nearly)
     assert recall._next is None
 

@@ -2,11 +2,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import Role
-from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialForce
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
@@ -65,19 +61,6 @@ def test_ports_are_named(station: Station) -> None:
         "cheat.body_poses",
         "cheat.body_spatial_velocities",
     }
-
-
-def test_what_it_is_made_of(station: Station, tiny_heap: Heap) -> None:
-    for name in ("plant", "scene_graph", "overhead"):
-        assert station.diagram.HasSubsystemNamed(name)
-    parts = station.parts
-    assert list(parts.objects) == [model.name for model in tiny_heap.models]
-    assert parts.labels == {
-        name: int(item.body.index()) for name, item in parts.objects.items()
-    }
-    for model in tiny_heap.models:
-        assert parts.objects[model.name].model is model
-    assert parts.plant.HasBodyNamed("tote")
 
 
 def test_the_default_context_has_the_heap(
@@ -157,49 +140,6 @@ def test_the_drawn_gripper_is_drawn_and_touches_nothing(
     simulator.AdvanceTo(0.1)
     after = station.pose("plank", simulator.get_context())
     np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=3e-4)
-
-
-def test_a_force_on_its_port_moves_an_object(station: Station) -> None:
-    item = station.parts.objects["plank"]
-    applied = ExternallyAppliedSpatialForce()
-    applied.body_index = item.body.index()
-    applied.p_BoBq_B = item.model.p_OCom
-    applied.F_Bq_W = SpatialForce(
-        tau=np.zeros(3), f=[0, 0, item.model.mass * (9.81 + 1.0)]
-    )
-    context = station.context()
-    station.diagram.GetInputPort("applied_spatial_force").FixValue(
-        context, AbstractValue.Make([applied])
-    )
-    start = station.pose("plank", context)[2, 3]
-    simulator = Simulator(station.diagram, context)
-    simulator.AdvanceTo(0.3)
-    lifted = station.pose("plank", simulator.get_context())[2, 3] - start
-    assert lifted == pytest.approx(0.5 * 1.0 * 0.3**2, rel=0.1)
-
-
-def test_images_follow_the_objects(station: Station) -> None:
-    context = station.context()
-    before = station.image("label", context)
-    plant = station.parts.plant
-    station.parts.objects["block"].joint.SetPose(
-        plant.GetMyMutableContextFromRoot(context),
-        RigidTransform([2.0, 0.0, 0.0]),
-    )
-    after = station.image("label", context)
-    label = station.parts.labels["block"]
-    assert (before == label).any()
-    assert not (after == label).any()
-
-
-def test_a_camera_of_another_name(tiny_heap: Heap) -> None:
-    scenario = Scenario()
-    scenario.camera.name = "side"
-    scenario.camera.width, scenario.camera.height = 64, 48
-    scenario.camera.center_x, scenario.camera.center_y = 31.5, 23.5
-    diagram, _ = build_heap_station(scenario, tiny_heap)
-    context = diagram.CreateDefaultContext()
-    assert diagram.GetOutputPort("side.camera").Eval(context).shape == (48, 64)
 
 
 def test_a_camera_on_a_body(tiny_heap: Heap) -> None:

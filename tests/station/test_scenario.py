@@ -124,53 +124,17 @@ def test_what_is_not_said_has_its_default(text: str) -> None:
 def test_settings_deep_inside() -> None:
     scenario = parse_scenario(
         """
-        scene: {heap: {offset_sigma: 0.03, max_attempts: 2}}
+        scene: {heap: {rest_motion: 1e-3}}
         camera: {width: 320, X_PB: {translation: [0, 0, 0.9]}}
-        perception:
-          geometric: {rotations: 16}
-          detector: hsv
-          noise: true
-          hsv: {hue_tolerance: 20}
-          depth_segmenter: {join: 0.003}
-          depth_noise: {sigma: 0.001}
-        gripper:
-          quasi_static: {perturbation: {position_sigma: 0}}
-          depth_planner: {density: 700, judgement: {clearance: 0.004}}
-        plant_config: {time_step: 0.004}
+        gripper: {depth_planner: {judgement: {clearance: 0.004}}}
         """,
         SOURCE,
     )
-    assert scenario.scene.heap.offset_sigma == 0.03
-    assert scenario.scene.heap.max_attempts == 2
-    assert scenario.camera.width == 320
-    assert scenario.camera.height == 384
-    assert scenario.perception.geometric.rotations == 16
-    assert (scenario.perception.detector, scenario.perception.noise) == (
-        "hsv",
-        True,
-    )
-    assert scenario.perception.hsv.hue_tolerance == 20
-    assert scenario.perception.depth_segmenter.join == 0.003
-    assert scenario.perception.depth_noise.sigma == 0.001
-    assert scenario.perception.depth_noise.speckle == 0.003
-    assert scenario.gripper.quasi_static.perturbation.position_sigma == 0
-    assert scenario.gripper.depth_planner.density == 700
-    assert scenario.gripper.depth_planner.judgement.clearance == 0.004
-    assert scenario.gripper.depth_planner.max_checks == 150
-    assert scenario.plant_config.time_step == 0.004
-    assert scenario.plant_config.stiction_tolerance == 1e-4
-
-
-def test_a_number_in_scientific_notation() -> None:
-    scenario = parse_scenario("scene: {heap: {rest_motion: 1e-3}}", SOURCE)
     assert scenario.scene.heap.rest_motion == 1e-3
-
-
-def test_scenarios_share_nothing() -> None:
-    first, second = Scenario(), Scenario()
-    first.scene.heap.offset_sigma = 9.0
-    first.camera.width = 9
-    assert whole(second) == whole(Scenario())
+    assert (scenario.camera.width, scenario.camera.height) == (320, 384)
+    planner = scenario.gripper.depth_planner
+    assert planner.judgement.clearance == 0.004
+    assert planner.max_checks == Scenario().gripper.depth_planner.max_checks
 
 
 COMPLAINTS = r"""

@@ -36,7 +36,6 @@ from xray_drake.search.monitor import SearchMonitor, attach_monitor
 from xray_drake.search.rollout import LONGEST_ACTION
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario, load_scenario
-from xray_drake.station.start import target_view
 
 _FIRST_SEED = 10_000
 """Seeds below are kept for acceptance and reports; a reset without a seed does
@@ -385,14 +384,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         """Returns what the rewards look at."""
         if self.monitor.record.success:
             return SearchState(0, 1.0, success=True)
-        diagram: SearchDiagram = self.simulator.get_system()
-        labels = self._eval(f"{self.scenario.camera.name}.label_image")
-        view = target_view(
-            labels.data[:, :, 0],
-            self.monitor.amodal_mask(self.simulator.get_context()),
-            diagram.station.labels,
-            diagram.heap.target.name,
-        )
+        view = self.monitor.target_view(self.simulator.get_context())
         rho = self._eval("occupancy_inference.occupancy")
         return SearchState(rho.support_size(), view.target_visible_fraction)
 

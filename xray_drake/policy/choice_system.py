@@ -72,7 +72,7 @@ class ChoicePolicy(SearchPolicy):
                 nor is ``target_first``.
         """
         super().__init__(**settings)
-        self._choice = self.DeclareAbstractInputPort("choice", Value(Choice()))
+        self._choice = self.declare_input("choice", Choice())
         self._options = self.DeclareAbstractOutputPort(
             "options",
             alloc=lambda: Value(GraspOptions()),

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -198,28 +197,27 @@ class SearchPolicy(CollectableLeafSystem):
 
     def _declare_inputs(self) -> None:
         planner, foresight = self._planner, self._foresight
-        self._occupancy = self._declare("occupancy", OccupancyDistribution())
-        self._instances = self._declare("instances", InstanceMasks())
-        self._target_mask = self._declare("target_mask", TargetMask())
-        self._status = self._declare("status", GripperStatus())
+        self._occupancy = self.declare_input(
+            "occupancy", OccupancyDistribution()
+        )
+        self._instances = self.declare_input("instances", InstanceMasks())
+        self._target_mask = self.declare_input("target_mask", TargetMask())
+        self._status = self.declare_input("status", GripperStatus())
         if isinstance(planner, DepthGrasps):
             image = ImageDepth32F(planner.width, planner.height)
-            self._seen_depth = self._declare("seen_depth_image", image)
+            self._seen_depth = self.declare_input("seen_depth_image", image)
         else:
-            self._poses = self._declare("body_poses", [RigidTransform()])
+            self._poses = self.declare_input("body_poses", [RigidTransform()])
         if foresight is not None:
             image = ImageDepth32F(foresight.width, foresight.height)
-            self._depth_image = self._declare("depth_image", image)
+            self._depth_image = self.declare_input("depth_image", image)
         sized = foresight or planner
         if isinstance(sized, Foresight | DepthGrasps):
             size = sized.width, sized.height
             camera = PinholeCamera(*size, np.eye(3), np.eye(4))
-            self._camera = self._declare("camera", camera)
+            self._camera = self.declare_input("camera", camera)
         if self._truth:
-            self._true_target = self._declare("true_target", TargetMask())
-
-    def _declare(self, name: str, example: Any) -> InputPort:
-        return self.DeclareAbstractInputPort(name, Value(example))
+            self._true_target = self.declare_input("true_target", TargetMask())
 
     def _calc_action(self, context: Context, output: AbstractValue) -> None:
         memory: Decision = context.get_abstract_state(self._memory).get_value()

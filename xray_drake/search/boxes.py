@@ -170,18 +170,25 @@ def add_decision(
             policy.GetInputPort("choice"), "search_policy.choice"
         )
     if scenario.gripper.grasps == "depth":
-        body = boxes.add(
-            lambda: GraspedBody(
-                labels=inside.station.labels,
-                bodies=inside.bodies,
-                parameters=scenario.gripper.parameters,
-                **size,
-            ),
-            "action",
-            sources={**truth, "action": action},
-        )
-        action = body.GetOutputPort("action")
+        action = _add_grasped_body(boxes, inside, {**truth, "action": action})
     return action
+
+
+def _add_grasped_body(
+    boxes: Boxes, inside: SearchParts, sources: Mapping[str, OutputPort]
+) -> OutputPort:
+    """Returns the action with the name of the body under its grasp."""
+    body = boxes.add(
+        lambda: GraspedBody(
+            labels=inside.station.labels,
+            bodies=inside.bodies,
+            parameters=inside.scenario.gripper.parameters,
+            **inside.image_size,
+        ),
+        "action",
+        sources=sources,
+    )
+    return body.GetOutputPort("action")
 
 
 def _policy(

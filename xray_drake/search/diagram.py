@@ -3,7 +3,12 @@
 from collections.abc import Callable, Mapping
 
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import (
+    Diagram,
+    DiagramBuilder,
+    OutputPort,
+    System,
+)
 
 from xray_drake.grasping.evidence.model import ModelEvidence
 from xray_drake.grasping.planner import GraspPlanner
@@ -99,8 +104,7 @@ def build_search_diagram(
     check_scenario(scenario)
     replace = replace or {}
     _check_replaced(replace, agent=agent)
-    if heap is None:
-        heap = make_heap(scenario, progress=progress)
+    heap = heap or make_heap(scenario, progress=progress)
     builder = DiagramBuilder()
     station, parts = build_heap_station(scenario, heap, meshcat=meshcat)
     builder.AddSystem(station)
@@ -113,17 +117,11 @@ def build_search_diagram(
         )
     )
     inside = SearchParts(scenario, heap, parts, parts.labels, planner)
-    replaced = {
-        name: _replacement(name, build, inside)
-        for name, build in replace.items()
-    }
+    replaced = {n: _replacement(n, b, inside) for n, b in replace.items()}
     execution = add_execution(
         builder, scenario, station, parts, heap, planner, meshcat=meshcat
     )
-    truth = {
-        port: station.GetOutputPort(f"{scenario.camera.name}.{port}")
-        for port in ("color_image", "depth_image", "label_image", "camera")
-    }
+    truth = _images(station, scenario.camera.name)
     boxes = Boxes(builder, replaced, truth)
     add_perception(boxes, inside)
     truth["body_poses"] = station.GetOutputPort("cheat.body_poses")
@@ -133,16 +131,19 @@ def build_search_diagram(
     for box in (*boxes.added, *execution.boxes):
         _export_outputs(builder, box, f"{box.get_name()}.")
     _export_outputs(builder, station, "")
-
     diagram = SearchDiagram()
     builder.BuildInto(diagram)
     diagram.set_name("search")
-    diagram.scenario = scenario
-    diagram.heap = heap
-    diagram.station = parts
-    diagram.meshcat = meshcat
-    diagram.agent = agent
+    diagram.scenario, diagram.heap, diagram.station = scenario, heap, parts
+    diagram.meshcat, diagram.agent = meshcat, agent
     return diagram
+
+
+def _images(station: System, camera: str) -> dict[str, OutputPort]:
+    return {
+        port: station.GetOutputPort(f"{camera}.{port}")
+        for port in ("color_image", "depth_image", "label_image", "camera")
+    }
 
 
 def _check_replaced(replace: Mapping[str, Replacement], *, agent: bool) -> None:

@@ -24,7 +24,7 @@ from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.station.provenance import scenario_provenance
 from xray_drake.station.scenario import record_scenario
-from xray_drake.station.start import target_view
+from xray_drake.station.start import TargetView, target_view
 
 
 class Observer(Protocol):
@@ -115,15 +115,11 @@ class SearchMonitor:
             and self.record.actions[-1].outcome is Outcome.NONE
         )
         if done:
-            self._finish(
-                context,
-                status.outcome,
-                status.reason,
-                self._end(context, status),
-            )
-        return (
-            self._termination() if self.record.end else EventStatus.DidNothing()
-        )
+            end = self._end(context, status)
+            self._finish(context, status.outcome, status.reason, end)
+        if self.record.end:
+            return self._termination()
+        return EventStatus.DidNothing()
 
     def _let_sleep(self, root_context: Context, status: GripperStatus) -> None:
         """Lets the heap sleep, but for what the gripper stirs.
@@ -179,6 +175,19 @@ class SearchMonitor:
             self._camera_port(context, "camera"),
         )
 
+    def target_view(self, context: Context) -> TargetView:
+        """Returns what the camera sees of the target and what covers it.
+
+        Args:
+            context: of the search.
+        """
+        return target_view(
+            self._camera_port(context, "label_image").data[:, :, 0],
+            self.amodal_mask(context),
+            self._diagram.station.labels,
+            self._target.name,
+        )
+
     def _is_clear(self, context: Context) -> bool:
         X = self._target_pose(context)
         lowest = (self._target.visual.vertices @ X[2, :3]).min() + X[2, 3]
@@ -208,7 +217,7 @@ class SearchMonitor:
         inside = np.count_nonzero(rho.support() & amodal) / pixels
         record = self.record
         if not record.actions:
-            record.start |= self._cover(context, amodal)
+            record.start |= asdict(self.target_view(context))
             record.start["target_visible_fraction"] = visible
         elif record.actions[-1].support_after < 0:
             record.actions[-1].support_after = action.support
@@ -238,15 +247,6 @@ class SearchMonitor:
             action = self._eval(context, "grasped_body.action")
         return action.grasp.object
 
-    def _cover(self, context: Context, amodal: np.ndarray) -> dict[str, float]:
-        view = target_view(
-            self._camera_port(context, "label_image").data[:, :, 0],
-            amodal,
-            self._diagram.station.labels,
-            self._target.name,
-        )
-        return asdict(view)
-
     def _finish(
         self, context: Context, outcome: Outcome, reason: str, end: str
     ) -> None:
@@ -257,17 +257,13 @@ class SearchMonitor:
             for name, index in self._diagram.station.labels.items()
         }
         removed = {n for n, p_WO in places.items() if not inside_bin(p_WO)}
+        brought = {action.object} if outcome is Outcome.LIFTED else set()
         if self._by_contact:
-            brought = {
-                name
-                for name in removed - self._removed
-                if inside_tote(places[name])
-            }
+            gone = removed - self._removed
+            brought = {name for name in gone if inside_tote(places[name])}
             outcome, reason = judge_outcome(
                 outcome, reason, action.object, brought
             )
-        else:
-            brought = {action.object} if outcome is Outcome.LIFTED else set()
         action.outcome, action.reason = outcome, reason
         action.lifted = tuple(sorted(brought))
         action.duration = context.get_time() - self._began

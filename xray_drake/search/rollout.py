@@ -9,7 +9,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import Observer, attach_monitor
 from xray_drake.search.record import SearchRecord
-from xray_drake.search.transitions import Transitions
+from xray_drake.search.transitions import TransitionRecall, Transitions
 from xray_drake.station.scenario import Scenario
 
 _SLICE = 0.5
@@ -54,12 +54,11 @@ def run_search(
         )
     simulator = Simulator(search)
     ApplySimulatorConfig(search.scenario.simulator_config, simulator)
-    recall = None if transitions is None else transitions.watch(search)
-    monitor = attach_monitor(
-        simulator,
-        search,
-        observers=observers if recall is None else (*observers, recall),
-    )
+    recall = None
+    if transitions is not None:
+        recall = TransitionRecall(search, transitions)
+        observers += (recall,)
+    monitor = attach_monitor(simulator, search, observers=observers)
     if recall is not None:
         simulator.set_monitor(partial(recall.stops, monitor))
     record = monitor.record

@@ -37,7 +37,7 @@ class Transition:
     gripper: IdealState
 
 
-class Transitions:
+class Transitions(dict[History, Transition]):
     """Where actions of the ideal gripper on one heap have ended.
 
     The same grasps on the same heap, one after the other, end in the same
@@ -50,25 +50,6 @@ class Transitions:
     on a heap, of scenarios that differ in policy and perception alone.
     """
 
-    def __init__(self) -> None:
-        """Knows of none."""
-        self._known: dict[History, Transition] = {}
-
-    def __len__(self) -> int:
-        """Returns the number of actions known."""
-        return len(self._known)
-
-    def watch(self, diagram: SearchDiagram) -> "TransitionRecall":
-        """Returns what takes part in one simulation.
-
-        Args:
-            diagram: the search.
-
-        Raises:
-            ValueError: execution by contact, whose state is not kept.
-        """
-        return TransitionRecall(diagram, self._known)
-
 
 class TransitionRecall:
     """Ends an action at once if it is known, else remembers how it ends.
@@ -77,9 +58,7 @@ class TransitionRecall:
     told: the simulator stops by :meth:`stops`, then :meth:`skip` goes on.
     """
 
-    def __init__(
-        self, diagram: SearchDiagram, known: dict[History, Transition]
-    ) -> None:
+    def __init__(self, diagram: SearchDiagram, known: Transitions) -> None:
         """Begins at the start of a search.
 
         Args:

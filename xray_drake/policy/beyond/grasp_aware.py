@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from xray_drake.policy.beyond.chance import chance
+from xray_drake.policy.beyond.shifts import distance_to
 from xray_drake.policy.ranking import (
     Outlook,
     Planning,
@@ -79,7 +79,7 @@ class GraspAware:
         if now > 0:
             # Two actions are never worth more than one of at least one half.
             return {target: now}
-        away = _distance(view.instances.mask(target))
+        away = distance_to(view.instances.mask(target))
         distances = {
             name: float(away[view.instances.mask(name)].min())
             for name in view.candidates
@@ -106,17 +106,10 @@ class GraspAware:
         """Returns how much of target's and fingers' places each takes."""
         rho = view.occupancy.supported()
         probable = (rho > self.probable) | outlook.target_mask
-        room = _distance(probable) <= self.finger * outlook.camera.floor_scale
+        room = distance_to(probable) <= self.finger * outlook.camera.floor_scale
         places = np.maximum(rho, self.room * room)
         return {
             name: float(places[view.instances.mask(name)].sum(dtype=float))
             * (name != view.target)
             for name in view.candidates
         }
-
-
-def _distance(mask: np.ndarray) -> np.ndarray:
-    """Returns the (H, W) distance to a mask that is not blank, pixels."""
-    return cv2.distanceTransform(
-        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
-    )

@@ -8,7 +8,6 @@ area" (section VI).
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
@@ -16,7 +15,12 @@ from xray_drake.geometry.floor_grid import Floor, observed_heights
 from xray_drake.geometry.readings import depth_readings
 from xray_drake.messages import Message
 from xray_drake.occupancy.observation import check_shapes
-from xray_drake.policy.beyond.shifts import Look, renamed, shifts_seen
+from xray_drake.policy.beyond.shifts import (
+    Look,
+    distance_to,
+    renamed,
+    shifts_seen,
+)
 
 _REACH = 1.1
 """How much farther the target may reach than it is long: in perspective it is
@@ -224,7 +228,4 @@ def _near(mask: np.ndarray, distance: float) -> np.ndarray:
     """Returns the (H, W) bool pixels within ``distance`` of a mask's."""
     if not mask.any():
         return np.zeros(mask.shape, dtype=bool)
-    away = cv2.distanceTransform(
-        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
-    )
-    return away <= distance
+    return distance_to(mask) <= distance

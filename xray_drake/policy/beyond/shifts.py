@@ -164,7 +164,11 @@ def _farthest(places: np.ndarray, mask: np.ndarray) -> float:
     if not mask.any():
         rows, columns = np.nonzero(places)
         return float(np.hypot(1 + np.ptp(rows), 1 + np.ptp(columns)))
-    away = cv2.distanceTransform(
+    return float(distance_to(mask)[places].max())
+
+
+def distance_to(mask: np.ndarray) -> np.ndarray:
+    """Returns the (H, W) distance to a mask that is not blank, pixels."""
+    return cv2.distanceTransform(
         (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
     )
-    return float(away[places].max())
