@@ -236,5 +236,5 @@ def test_an_installed_policy_works_from_the_command_line(
     # Here nobody knows these policies.
     code, report, _ = answer("report", out)
     assert code == 0
-    assert "smallest (exact" in report
-    assert "shelf:smallest (exact" in report
+    assert "smallest (geometric" in report
+    assert "shelf:smallest (geometric" in report
