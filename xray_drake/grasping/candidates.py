@@ -337,6 +337,8 @@ def cup_poses(
 ) -> GraspCandidates:
     """Approaches places where the cup seals, turned about its axis.
 
+    All places come in one turn, then in the next.
+
     Args:
         points: in the world.
         center: (3,) the object's centre of mass in the world, m.
@@ -350,8 +352,8 @@ def cup_poses(
     steepness = _steepness(points.approach, max_tilt)
     usable = np.flatnonzero(steepness >= 0)
     _count_tilted(failures, GraspKind.SUCTION, steepness >= 0)
-    place = np.repeat(usable, turns)
-    turn = np.tile(np.arange(turns), len(usable))
+    place = np.tile(usable, turns)
+    turn = np.repeat(np.arange(turns), len(usable))
     z = points.approach[place]
     if ahead is None:
         x = np.eye(3)[np.where(np.abs(z[:, 0]) < 0.9, 0, 1)]

@@ -228,7 +228,10 @@ class SeenEvidence:
             turns=self._config.suction_turns,
             ahead=self._X_WC[:3, 0],
         )
-        most = self._config.suction_places * self._config.suction_turns
+        # Of equal places each comes in all its turns before the next.
+        turns = self._config.suction_turns
+        cups = cups.take(np.arange(len(cups)).reshape(turns, -1).T.ravel())
+        most = self._config.suction_places * turns
         yield cups.take(by_score(cups.score)[:most])
 
     def _jaws(self, failures: Failures) -> GraspCandidates:
