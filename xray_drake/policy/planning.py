@@ -136,7 +136,7 @@ class DepthPlanning(_Planning):
 
     The name of an instance means nothing in the next image. So what failed is
     excluded by its place, on whatever is seen there, until the place has
-    changed (:func:`still_there`). Objects are thought away as a
+    changed (:func:`still_there`). Objects are removed hypothetically as a
     :class:`~xray_drake.policy.removal.Removal` does.
     """
 

@@ -120,21 +120,17 @@ class GraspedBody(CollectableLeafSystem):
         self._names = dict(labels)
         self._bodies = dict(bodies)
         self._parameters = parameters or GripperParameters()
-        self._action = self.DeclareAbstractInputPort(
-            "action", Value(SearchAction())
+        self._action = self.declare_input("action", SearchAction())
+        self._label_image = self.declare_input(
+            "label_image", ImageLabel16I(width, height)
         )
-        self._label_image = self.DeclareAbstractInputPort(
-            "label_image", Value(ImageLabel16I(width, height))
+        self._depth_image = self.declare_input(
+            "depth_image", ImageDepth32F(width, height)
         )
-        self._depth_image = self.DeclareAbstractInputPort(
-            "depth_image", Value(ImageDepth32F(width, height))
+        self._camera = self.declare_input(
+            "camera", PinholeCamera(width, height, np.eye(3), np.eye(4))
         )
-        self._camera = self.DeclareAbstractInputPort(
-            "camera", Value(PinholeCamera(width, height, np.eye(3), np.eye(4)))
-        )
-        self._poses = self.DeclareAbstractInputPort(
-            "body_poses", Value([RigidTransform()])
-        )
+        self._poses = self.declare_input("body_poses", [RigidTransform()])
         self.DeclareAbstractOutputPort(
             "action",
             alloc=lambda: Value(SearchAction()),

@@ -113,8 +113,9 @@ class ModelEvidence:
             cup_standoff=self.config.judgement.cup_standoff,
         )
         self._surfaces: dict[str, np.ndarray] = {}
-        self._samples: dict[str, tuple[AntipodalPairs, SuctionPoints]] = {}
-        self._unfit: dict[str, Failures] = {}
+        self._samples: dict[
+            str, tuple[AntipodalPairs, SuctionPoints, Failures]
+        ] = {}
 
     def look(
         self, object_name: str, known: Mapping[str, np.ndarray]
@@ -140,8 +141,13 @@ class ModelEvidence:
         a, b = self.gripper.parameters.friction, self.objects[name].friction
         return 2 * a * b / (a + b) if a + b > 0 else 0.0
 
-    def samples(self, name: str) -> tuple[AntipodalPairs, SuctionPoints]:
-        """Returns the grasp candidates of an object in its body frame."""
+    def samples(
+        self, name: str
+    ) -> tuple[AntipodalPairs, SuctionPoints, Failures]:
+        """Returns the grasp candidates of an object in its body frame.
+
+        And how many other samples are no candidates, and why.
+        """
         if name not in self._samples:
             mesh, config = self.objects[name].visual, self.config
             parameters = self.gripper.parameters
@@ -159,19 +165,12 @@ class ModelEvidence:
                 self.gripper.lip,
                 count=config.suction_samples,
             )
-            self._samples[name] = pairs, points
-            self._unfit[name] = Failures(
-                {
-                    (GraspKind.JAW, "too wide"): wide,
-                    (GraspKind.SUCTION, "cup does not seal"): leaky,
-                }
-            )
+            unfit = {
+                (GraspKind.JAW, "too wide"): wide,
+                (GraspKind.SUCTION, "cup does not seal"): leaky,
+            }
+            self._samples[name] = pairs, points, Failures(unfit)
         return self._samples[name]
-
-    def unfit(self, name: str) -> Failures:
-        """Returns how many samples on an object are no candidates, and why."""
-        self.samples(name)
-        return self._unfit[name]
 
     def surface(self, name: str) -> np.ndarray:
         """Returns (n, 3) points on an object's surface, in its frame, m."""
@@ -212,7 +211,6 @@ class PlacedModel:
         self, excluded: Sequence[Grasp], failures: Failures
     ) -> Iterator[GraspCandidates]:
         """Yields them one by one; see the protocol."""
-        failures.update(self._evidence.unfit(self._name))
         both = self.all_candidates(failures)
         points = self._points_around()
         size, groups = len(both[0]), 1 + both[0].group.max(initial=0)
@@ -223,20 +221,15 @@ class PlacedModel:
         checked = 0
         for start in range(0, len(order), _CHUNK):
             part = order[start : start + _CHUNK]
+            chunks = part[part < size], part[part >= size] - size
             queue = [
-                candidates.take(slice(i, i + 1))
-                for candidates in (
-                    self._free(both[0].take(part[part < size]), points),
-                    self._free(both[1].take(part[part >= size] - size), points),
-                )
-                for i in range(len(candidates))
+                free.take(slice(i, i + 1))
+                for candidates, chunk in zip(both, chunks, strict=True)
+                for free in [
+                    self._free(candidates.take(chunk), points, failures)
+                ]
+                for i in range(len(free))
             ]
-            for kind, many in (
-                (GraspKind.JAW, np.count_nonzero(part < size)),
-                (GraspKind.SUCTION, np.count_nonzero(part >= size)),
-            ):
-                free = sum(one.kind is kind for one in queue)
-                failures[kind, "no space for the gripper"] += int(many - free)
             for i in by_score(np.array([float(c.score[0]) for c in queue])):
                 kind, X_WG = queue[i].kind, queue[i].X_WG[0]
                 if self.excludes(excluded, kind, X_WG):
@@ -271,11 +264,15 @@ class PlacedModel:
         Args:
             failures: those that could not are counted here.
         """
-        return self._jaws(failures), self._cups(failures)
+        pairs, points, unfit = self._evidence.samples(self._name)
+        failures.update(unfit)
+        return self._jaws(pairs, failures), self._cups(points, failures)
 
-    def _jaws(self, failures: Failures) -> GraspCandidates:
+    def _jaws(
+        self, pairs: AntipodalPairs, failures: Failures
+    ) -> GraspCandidates:
         """Returns poses that stop above the floor."""
-        pairs, gripper = self._evidence.samples(self._name)[0], self._gripper
+        gripper = self._gripper
         R, p = self._X_WO[:3, :3], self._X_WO[:3, 3]
         in_world = replace(
             pairs,
@@ -303,9 +300,10 @@ class PlacedModel:
         failures[GraspKind.JAW, too_weak(most, self.weight)] += len(jaws)
         return jaws.take(slice(0))
 
-    def _cups(self, failures: Failures) -> GraspCandidates:
+    def _cups(
+        self, points: SuctionPoints, failures: Failures
+    ) -> GraspCandidates:
         """Returns poses that can hold the weight where they seal."""
-        points = self._evidence.samples(self._name)[1]
         R, p = self._X_WO[:3, :3], self._X_WO[:3, 3]
         cups = cup_poses(
             replace(
@@ -343,13 +341,18 @@ class PlacedModel:
         return points[(away < size + 0.17) & (points[:, 2] > 0.001)]
 
     def _free(
-        self, candidates: GraspCandidates, points: np.ndarray
+        self,
+        candidates: GraspCandidates,
+        points: np.ndarray,
+        failures: Failures,
     ) -> GraspCandidates:
         """Drops those that cannot be free, scores the others by their space."""
+        kind, count = candidates.kind, len(candidates)
         for stride in (_COARSE, 1):
             space = self._clearance(candidates, points[::stride])
             candidates = replace(candidates, space=space)
             candidates = candidates.take(space > -_POINT_TOLERANCE)
+        failures[kind, "no space for the gripper"] += count - len(candidates)
         full = self._config.full_clearance
         return replace(
             candidates, score=candidates.score * candidates.quality_factor(full)
