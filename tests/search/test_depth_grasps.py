@@ -58,16 +58,12 @@ def test_every_object_is_grasped_where_it_is(
     diagram = build_search_diagram(blind_scenario, heap=tiny_heap)
     context = diagram.CreateDefaultContext()
     policy = diagram.GetSubsystemByName("search_policy")
-    plan = policy._planning(
-        policy.GetMyContextFromRoot(context),
-        diagram.GetOutputPort("instance_segmenter.instances").Eval(context),
-        (),
-    )
     body = diagram.GetSubsystemByName("grasped_body")
     inputs = body.GetMyContextFromRoot(context)
     kinds = {"book": GraspKind.SUCTION, "block": None, "plank": None}
+    grasps = policy.grasps(policy.GetMyContextFromRoot(context), list(kinds))
     for name, kind in kinds.items():
-        grasp = plan(name)
+        grasp = grasps[name]
         assert grasp.quality > 0.3
         assert kind in (None, grasp.kind)
         body.GetInputPort("action").FixValue(
