@@ -103,8 +103,6 @@ _FocalError = Annotated[
         help="Tell inference that the focal length is larger by this share."
     ),
 ]
-
-
 _OldGeometric = Annotated[
     bool | None, typer.Option("--exact/--no-exact", hidden=True)
 ]
@@ -143,18 +141,9 @@ def occupancy(
     """
     _check_outputs(json, figure)
     files, used = weights or [], dtype or DTYPES[0]
-    if exact is not None:
-        current_occupancy("exact")
-        geometric = exact
-    if expected:
-        current_occupancy("expected")
-    asked = {
-        "geometric_label": geometric_label or expected,
-        "geometric": geometric,
-    }
     predictors = _predictors(
         files,
-        without_network=[name for name, also in asked.items() if also],
+        without_network=_asked(geometric, geometric_label, exact, expected),
         unscaled=unscaled,
         posterior=posterior,
         dtype=used,
@@ -197,6 +186,33 @@ def occupancy(
         partial(_disturbed, data, index, disturb)
         for index in _draw(len(data), images, seed)
     ]
+    _write(samples, predictors, run, settings, json, figure, examples, worst)
+
+
+def _asked(
+    geometric: bool, label: bool, exact: bool | None, expected: bool
+) -> list[str]:
+    """Returns what needs no network; old options are accepted with a line."""
+    if exact is not None:
+        current_occupancy("exact")
+        geometric = exact
+    if expected:
+        current_occupancy("expected")
+    asked = {"geometric_label": label or expected, "geometric": geometric}
+    return [name for name, also in asked.items() if also]
+
+
+def _write(
+    samples: Sequence[Callable[[], "Sample"]],
+    predictors: Mapping[str, "Predictor"],
+    run: Run,
+    settings: Mapping[str, Any],
+    json: Path | None,
+    figure: Path | None,
+    examples: int,
+    worst: bool,
+) -> None:
+    """Evaluates and writes the files, with a manifest beside each."""
     with ExitStack() as stack:
         # A pipe takes no manifest.
         written = [
