@@ -44,7 +44,6 @@ FLAT_TARGETS = (BOXES, *(n for n in TARGET_NAMES if n not in BOX_TARGETS))
 
 CORES = usable_cores()
 
-Out = Annotated[Path, typer.Option(help="Folder to write into.")]
 ScenarioName = Annotated[
     str, typer.Option(help="Name of a scenario, or a YAML file.")
 ]
