@@ -250,8 +250,14 @@ def test_exact_inference_and_a_network(
     assert modal["overall"]["target_mass"]["value"] == 1.0
 
 
-def test_the_label_guessed_without_a_network(folder: Path) -> None:
-    result = _run(folder, "--geometric-label", "--no-geometric")
+@pytest.mark.parametrize(
+    "flags",
+    [("--geometric-label", "--no-geometric"), ("--expected", "--no-exact")],
+)
+def test_the_label_guessed_without_a_network(
+    folder: Path, flags: tuple[str, str]
+) -> None:
+    result = _run(folder, *flags)
     assert result.exit_code == 0, result.output
     rows = _rows(result.stdout)
     assert {name for _, name in rows} == {"geometric_label"}
