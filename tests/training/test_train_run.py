@@ -513,25 +513,26 @@ def test_a_run_that_was_killed_goes_on_as_it_would_have_gone(
     tmp_path: Path,
     windowed: bool,
 ) -> None:
-    once, out = whole[0], tmp_path / "run"
+    (once, expected), out = whole, tmp_path / "run"
     change: dict[str, Any] = {}
     training: Any = CompactTraining
     if windowed:
         change = {**WINDOWED, "weights": str(once / WEIGHTS)}
         once, training = tmp_path / "once", WindowedTraining
-        run(once, **change)
+        expected = run(once, **change)
     _killed(run, out, monkeypatch, epoch=1, training=training, **change)
     assert _steps_of(out / CHECKPOINT) == 3
     card = run(out, resume=True, **change)
-    assert card.training["optimizer steps"] == STEPS
+    steps = expected.training["optimizer steps"]
+    assert card.training["optimizer steps"] == steps
     assert _same_weights(once, out)
-    assert card.figures == read_card(once / WEIGHTS).figures
+    np.testing.assert_equal(card.figures, expected.figures)
     # What was logged before stays.
     epochs = set()
     for path in out.rglob("metrics*.csv"):
         with path.open(newline="", encoding="utf-8") as file:
             epochs |= {int(row["epoch"]) for row in csv.DictReader(file)}
-    assert epochs == {0, 1, 2}
+    assert epochs == set(range(steps // 3))
 
 
 main = typer.Typer()
