@@ -100,14 +100,7 @@ def occupancy_label(
     )
     amodal = has_reading(target)
     pivot = _pivot(p_WT, camera)
-    outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
-    relative, floor = relative_depths(
-        scene,
-        camera.pixel_to_ray,
-        np.array(camera.X_WC[:3, 3]),
-        np.array(config.floor) + outward,
-        config.depth_tolerance,
-    )
+    relative, floor = _relative(scene, camera, config)
     computed = _modal(target, scene, amodal, config.depth_tolerance)
     modal = computed if observed is None else np.array(observed, dtype=bool)
     box = _box(modal) if modal.any() else None
@@ -126,6 +119,20 @@ def occupancy_label(
     largest = float(total.max())
     distribution = total.astype(np.float32) / np.float32(max(largest, 1.0))
     return Label(distribution, amodal, modal, accepted, largest)
+
+
+def _relative(
+    scene: np.ndarray, camera: PinholeCamera, config: LabelConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns (H, W) depths of scene and floor; see ``relative_depths``."""
+    outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
+    return relative_depths(
+        scene,
+        camera.pixel_to_ray,
+        np.array(camera.X_WC[:3, 3]),
+        np.array(config.floor) + outward,
+        config.depth_tolerance,
+    )
 
 
 def _candidates(
