@@ -1,6 +1,6 @@
 """Builds the whole search as one Diagram."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import (
@@ -128,9 +128,7 @@ def build_search_diagram(
     status = execution.controller.GetOutputPort("status")
     action = add_decision(boxes, inside, truth, status, agent=agent)
     builder.Connect(action, execution.controller.GetInputPort("action"))
-    for box in (*boxes.added, *execution.boxes):
-        _export_outputs(builder, box, f"{box.get_name()}.")
-    _export_outputs(builder, station, "")
+    _export_outputs(builder, station, (*boxes.added, *execution.boxes))
     diagram = SearchDiagram()
     builder.BuildInto(diagram)
     diagram.set_name("search")
@@ -172,8 +170,11 @@ def _replacement(name: str, build: Replacement, inside: SearchParts) -> System:
 
 
 def _export_outputs(
-    builder: DiagramBuilder, system: System, prefix: str
+    builder: DiagramBuilder, station: System, boxes: Iterable[System]
 ) -> None:
-    for index in range(system.num_output_ports()):
-        output = system.get_output_port(index)
-        builder.ExportOutput(output, f"{prefix}{output.get_name()}")
+    """Exports all as ``box.port``; the station's by their names alone."""
+    for system in (*boxes, station):
+        prefix = "" if system is station else f"{system.get_name()}."
+        for index in range(system.num_output_ports()):
+            output = system.get_output_port(index)
+            builder.ExportOutput(output, f"{prefix}{output.get_name()}")

@@ -79,6 +79,7 @@ from xray_drake.station.drake_rules import (
     CONTACT_APPROXIMATIONS,
     CONTACT_MODELS,
     DRAKE_RULES,
+    IN_ORDER,
 )
 
 MOST_OBJECTS = 100
@@ -376,7 +377,7 @@ def check_scenario(
     check(scenario, source, DRAKE_RULES)
     _check_unused(scenario, source)
     perception = scenario.perception
-    for low, high in _IN_ORDER:
+    for low, high in IN_ORDER:
         least, most = (attrgetter(path)(scenario) for path in (low, high))
         if least > most:
             raise ScenarioError(
@@ -422,26 +423,6 @@ def check_scenario(
         AddMultibodyPlant(
             config=scenario.plant_config, builder=DiagramBuilder()
         )
-
-
-_IN_ORDER = (
-    ("scene.random_number.least", "scene.random_number.most"),
-    ("camera_sampling.least_radius", "camera_sampling.most_radius"),
-    ("camera_sampling.least_focal", "camera_sampling.most_focal"),
-    ("camera.clipping_near", "camera.z_near"),
-    ("camera.z_near", "camera.z_far"),
-    ("camera.z_far", "camera.clipping_far"),
-    ("gripper.contact.lost", "gripper.contact.sealed"),
-    *(
-        (f"{path}.friction_min", f"{path}.friction")
-        for path in (
-            "gripper.planner.perturbation",
-            "gripper.depth_planner.perturbation",
-            "gripper.quasi_static.perturbation",
-        )
-    ),
-)
-"""Numbers of which the first is at most the second."""
 
 
 _UNUSED = {
