@@ -1,10 +1,16 @@
 """Puts the YuMi-like gripper on its carrier into a MultibodyPlant."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import (
+    BodyIndex,
+    Frame,
+    ModelInstanceIndex,
+    RigidBody,
+)
 
 from xray_drake.choices import CARRIERS
 from xray_drake.gripper.carriers.arm import Arm
@@ -63,7 +69,13 @@ class YumiGripper:
         ]
 
 
-_CARRIERS = {
+_Add = Callable[[MultibodyPlant], tuple[ModelInstanceIndex, Frame]]
+_Make = Callable[
+    [MultibodyPlant, ModelInstanceIndex, ModelInstanceIndex, np.ndarray],
+    Carrier,
+]
+
+_CARRIERS: Mapping[str, tuple[_Add, _Make]] = {
     "wrist": (add_wrist, make_wrist),
     "arm": (YUMI_ARM.add, lambda *_: Arm(YUMI_ARM)),
 }
