@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.occupancy.brute_force import render
 from tests.occupancy.label_scenes import walls
 from tests.occupancy.scenes import CAMERAS, lying, make_camera
+from tests.perception.segmentation_metrics import score_segmentation
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import InstanceMasks
 from xray_drake.perception.depth_noise import DepthNoise
@@ -19,7 +20,6 @@ from xray_drake.perception.depth_segmenter import (
     DepthSegmenterConfig,
     segment_depth,
 )
-from xray_drake.perception.segmentation_metrics import score_segmentation
 
 CAMERA = CAMERAS["nominal"]
 HALF = make_camera(focal_length=276, center=(127.5, 95.5), size=(256, 192))

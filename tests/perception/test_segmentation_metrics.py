@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from xray_drake.perception.segmentation_metrics import (
+from tests.perception.segmentation_metrics import (
     SegmentationScore,
     score_segmentation,
 )

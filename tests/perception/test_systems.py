@@ -12,6 +12,7 @@ from pydrake.systems.sensors import (
     ImageRgba8U,
 )
 
+from tests.perception.segmentation_metrics import score_segmentation
 from tests.ports import ports
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import InstanceMasks, TargetMask
@@ -21,7 +22,6 @@ from xray_drake.perception.depth_segmenter import (
     segment_depth,
 )
 from xray_drake.perception.hsv_target import HsvTargetConfig
-from xray_drake.perception.segmentation_metrics import score_segmentation
 from xray_drake.perception.systems import (
     DepthInstanceSegmenter,
     GroundTruthInstanceSegmenter,

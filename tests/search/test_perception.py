@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.perception.segmentation_metrics import score_segmentation
 from xray_drake.messages import InstanceMasks
-from xray_drake.perception.segmentation_metrics import score_segmentation
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.station.scenario import Scenario

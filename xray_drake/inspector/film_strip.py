@@ -11,9 +11,6 @@ from xray_drake.drawing.figures import SEEN, Panel, panel_figure
 from xray_drake.files import write_whole_file
 from xray_drake.inspector.snapshot import Snapshot, SnapshotRecorder
 
-PICTURES = (".png", ".pdf", ".svg")
-"""How the name of a film strip's file may end."""
-
 _MOST_COLUMNS = 4
 _MARGIN = 16
 """Pixels that are shown around the objects."""
