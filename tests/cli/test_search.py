@@ -190,10 +190,15 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         assert what in line
         first = action["ranking"][0]
         assert f"ranked: {first['object']} {first['score']:.4g}" in out
+        # What was passed over for the same reason is told in one line.
+        names: dict[str, list[str]] = {}
         for candidate in action["ranking"]:
-            if candidate["passed_over"]:
-                told = f"over {candidate['object']}: {candidate['passed_over']}"
-                assert told in out
+            names.setdefault(candidate["passed_over"], []).append(
+                candidate["object"]
+            )
+        for why, (name, *others) in names.items():
+            more = f" and {len(others)} more" if others else ""
+            assert not why or f"over {name}{more}: {why}" in out
     for before, after in itertools.pairwise(actions):
         assert before["support_after"] == after["support_before"]
     assert f"{len(actions)} of 2" in out

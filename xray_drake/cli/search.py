@@ -57,12 +57,14 @@ class _Narrator:
         if ranked:
             more = f" and {others} more" if others else ""
             typer.echo(f"      ranked: {', '.join(ranked)}{more}")
+        reasons: dict[str, list[str]] = {}
         for candidate in record.ranking:
             if candidate.passed_over:
-                typer.echo(
-                    f"      passed over {candidate.name}: "
-                    f"{candidate.passed_over}"
-                )
+                alike = reasons.setdefault(candidate.passed_over, [])
+                alike.append(candidate.name)
+        for reason, (name, *alike) in reasons.items():
+            more = f" and {len(alike)} more" if alike else ""
+            typer.echo(f"      passed over {name}{more}: {reason}")
 
 
 def run(
