@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -249,3 +251,22 @@ def test_without_sampling_the_nominal_camera_is_used() -> None:
     one, other = pinhole_camera(camera), pinhole_camera(nominal)
     np.testing.assert_array_equal(one.X_WC, other.X_WC)
     np.testing.assert_array_equal(one.intrinsics, other.intrinsics)
+
+
+_RENDER_THEN_IMPORT = """
+from pydrake.systems.framework import DiagramBuilder
+from xray_drake.scene.cameras import add_camera, nominal_camera
+from xray_drake.scene.plant import add_plant, default_plant_config
+builder = DiagramBuilder()
+plant, scene_graph = add_plant(builder, default_plant_config())
+plant.Finalize()
+sensor, _ = add_camera(builder, scene_graph, nominal_camera())
+context = builder.Build().CreateDefaultContext()
+sensor.depth_image_32F_output_port().Eval(sensor.GetMyContextFromRoot(context))
+import triton
+"""
+
+
+def test_triton_can_be_imported_after_rendering() -> None:
+    pytest.importorskip("triton", reason="torch without CUDA has none")
+    subprocess.run([sys.executable, "-c", _RENDER_THEN_IMPORT], check=True)

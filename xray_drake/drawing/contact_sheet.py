@@ -7,14 +7,12 @@ import numpy as np
 from pydrake.common.schema import Transform
 from pydrake.geometry import (
     LightParameter,
-    MakeRenderEngineVtk,
-    RenderEngineVtkParams,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 
-from xray_drake.scene.cameras import add_camera
+from xray_drake.scene.cameras import add_camera, make_renderer
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import add_object, add_plant, default_plant_config
 
@@ -74,11 +72,7 @@ def object_picture(model: ObjectModel, size: int) -> np.ndarray:
     plant.Finalize()
     scene_graph.AddRenderer(
         camera.renderer_name,
-        MakeRenderEngineVtk(
-            RenderEngineVtkParams(
-                default_clear_color=BACKGROUND, lights=_LIGHTS
-            )
-        ),
+        make_renderer(BACKGROUND, _LIGHTS),
     )
     sensor, _ = add_camera(builder, scene_graph, camera)
     context = builder.Build().CreateDefaultContext()

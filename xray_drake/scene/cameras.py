@@ -1,6 +1,9 @@
 """Adds Drake's RgbdSensor to a diagram, and tells what it is."""
 
+import contextlib
 import copy
+import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +13,7 @@ from pydrake.common.value import Value
 from pydrake.geometry import (
     LightParameter,
     MakeRenderEngineVtk,
+    RenderEngine,
     RenderEngineVtkParams,
     Rgba,
     SceneGraph,
@@ -214,6 +218,28 @@ def check_renderer(config: CameraConfig) -> None:
         )
 
 
+def make_renderer(
+    background: np.ndarray, lights: Sequence[LightParameter]
+) -> RenderEngine:
+    """Returns a RenderEngineVtk.
+
+    Torch for CUDA brings Triton, which has an LLVM of its own. Imported after
+    software Mesa has loaded another LLVM it crashes the process (Triton 3.7.1,
+    LLVM 15), so it is imported before, where there is one.
+
+    Args:
+        background: (3,) its colour, red, green, blue in [0, 1].
+        lights: of the scene.
+    """
+    with contextlib.suppress(ImportError):
+        importlib.import_module("triton")
+    return MakeRenderEngineVtk(
+        RenderEngineVtkParams(
+            default_clear_color=background, lights=list(lights)
+        )
+    )
+
+
 def add_renderer(scene_graph: SceneGraph, config: CameraConfig) -> None:
     """Adds the render engine that a camera asks for, once.
 
@@ -225,17 +251,10 @@ def add_renderer(scene_graph: SceneGraph, config: CameraConfig) -> None:
     check_renderer(config)
     if not scene_graph.HasRenderer(config.renderer_name):
         color = config.background
-        scene_graph.AddRenderer(
-            config.renderer_name,
-            MakeRenderEngineVtk(
-                RenderEngineVtkParams(
-                    default_clear_color=np.array(
-                        [color.r(), color.g(), color.b()]
-                    ),
-                    lights=_lights(),
-                )
-            ),
+        engine = make_renderer(
+            np.array([color.r(), color.g(), color.b()]), _lights()
         )
+        scene_graph.AddRenderer(config.renderer_name, engine)
 
 
 def _lights() -> list[LightParameter]:
