@@ -12,8 +12,10 @@ from tests.occupancy.inferences import TALL, inference_of, label_inference
 from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.occupancy.exact import ExactInference
 from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.inference import GeometricInference
+from xray_drake.occupancy.inference import make_inference
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
 
@@ -399,3 +401,11 @@ def test_wrong_numbers_are_named() -> None:
         GeometricInference(TALL["die"], GeometricConfig(poses="upright"))
     with pytest.raises(ValueError, match=r"'resting': choose one of flat$"):
         label_inference(TALL["die"], GeometricConfig(poses="resting"))
+
+
+def test_the_old_name_is_taken_for_a_version() -> None:
+    target = target_model("box_2to1")
+    with pytest.warns(DeprecationWarning, match="make_inference"):
+        old = ExactInference(target)
+    new = make_inference("geometric", target)
+    assert type(old) is type(new)
