@@ -1,14 +1,14 @@
 """Candidates for grasps: poses of the gripper, ranked cheaply."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
 
-from xray_drake.grasping.judgement import DOWN, GripperModel
-from xray_drake.messages import Grasp, GraspKind
+from xray_drake.grasping.judgement import DOWN, TOO_WEAK, GripperModel
+from xray_drake.messages import Grasp, GraspKind, Rejection
 
 JAW_TILTS = np.deg2rad([0.0, -20.0, 20.0, -40.0, 40.0])
 """Approaches of the jaw about its closing axis, from the steepest one, rad."""
@@ -25,8 +25,45 @@ EQUAL_QUALITY = 1e-3
 _DIGITS = 4
 """Scores are compared after so many decimals."""
 
-Failures = Counter[tuple[GraspKind, str]]
-"""Kind of grasp and reason, to the number of candidates that failed for it."""
+
+class Failures(Counter[tuple[GraspKind, str]]):
+    """Kind of grasp and reason, to the number of candidates that failed for it.
+
+    Those too weak are one reason, told of the strongest.
+    """
+
+    def __init__(
+        self, counts: Mapping[tuple[GraspKind, str], int] | None = None
+    ) -> None:
+        """Counts none, or begins with those given."""
+        super().__init__(counts or {})
+        self._strongest: dict[GraspKind, tuple[float, float]] = {}
+
+    def count_weak(
+        self, kind: GraspKind, holding: float, weight: float, number: int = 1
+    ) -> None:
+        """Counts candidates that hold less than the weight, at most so much.
+
+        Args:
+            kind: of the candidates.
+            holding: the most that one of them holds, N.
+            weight: of the object, N.
+            number: of the candidates.
+        """
+        self[kind, TOO_WEAK] += number
+        before = self._strongest.get(kind, (holding, weight))
+        self._strongest[kind] = max(before, (holding, weight))
+
+    def rejections(self) -> tuple[Rejection, ...]:
+        """Returns why candidates failed; the commonest reasons first."""
+        told = []
+        for (kind, reason), number in self.items():
+            if reason == TOO_WEAK:
+                holding, weight = self._strongest[kind]
+                reason = f"{TOO_WEAK}{holding:.2f} of {weight:.2f} N"
+            if number:
+                told.append(Rejection(kind, reason, number))
+        return tuple(sorted(told, key=lambda r: (r.kind.value, -r.candidates)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,6 +73,11 @@ class JudgedGrasp:
     holding: float = 0.0
     space: float = np.inf
 
+    @property
+    def is_too_weak(self) -> bool:
+        """The contacts cannot hold the weight; nothing else is wrong."""
+        return self.reason.startswith(TOO_WEAK)
+
 
 class Lip(NamedTuple):
     """The lip of a cup, and what it seals on.

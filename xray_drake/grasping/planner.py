@@ -15,9 +15,9 @@ from xray_drake.grasping.candidates import (
 )
 from xray_drake.grasping.evidence.protocol import GraspEvidence, ObjectEvidence
 from xray_drake.grasping.judge import judge
-from xray_drake.grasping.judgement import TOO_WEAK, JudgedGrasp
+from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.grasping.perturbation import perturb
-from xray_drake.messages import Grasp, GraspKind, GraspPlan, Rejection
+from xray_drake.messages import Grasp, GraspKind, GraspPlan
 from xray_drake.seeding import stream
 
 Known = TypeVar("Known")
@@ -81,7 +81,7 @@ class GraspPlanner(Generic[Known]):
         """
         failures = Failures()
         found = self._find(object_name, known, excluded, failures)
-        return GraspPlan(found[0] if found else Grasp(), _told(failures))
+        return GraspPlan(found[0] if found else Grasp(), failures.rejections())
 
     def find_grasps(
         self,
@@ -184,6 +184,8 @@ class GraspPlanner(Generic[Known]):
                         quality=one.quality * float(factor),
                     )
                 )
+            elif one.is_too_weak:
+                failures.count_weak(kind, one.holding, seen.weight)
             else:
                 failures[kind, one.reason] += 1
         return grasps
@@ -285,33 +287,3 @@ def _best_first(grasps: Sequence[Grasp], seen: ObjectEvidence) -> list[Grasp]:
     ranks = quality_ranks(np.array([grasp.quality for grasp in grasps]))
     keys = seen.preference(np.array([grasp.X_WG for grasp in grasps]))
     return [grasps[i] for i in np.lexsort((keys, ranks))]
-
-
-def _told(failures: Failures) -> tuple[Rejection, ...]:
-    """Returns why candidates failed, the commonest reasons first.
-
-    Those too weak are one reason, told of the strongest.
-    """
-    told: dict[tuple[GraspKind, str], Rejection] = {}
-    for (kind, reason), number in failures.items():
-        key = kind, TOO_WEAK if reason.startswith(TOO_WEAK) else reason
-        before = told.get(key, Rejection(kind, reason, 0))
-        told[key] = Rejection(
-            kind,
-            max(before.reason, reason, key=_force),
-            before.candidates + number,
-        )
-    rejections = [
-        r._replace(reason=r.reason.replace(" N, weighs ", " of "))
-        for r in told.values()
-        if r.candidates
-    ]
-    return tuple(
-        sorted(rejections, key=lambda r: (r.kind.value, -r.candidates))
-    )
-
-
-def _force(reason: str) -> float:
-    """Returns what a grasp that is too weak holds, N; of others 0."""
-    weak = reason.startswith(TOO_WEAK)
-    return float(reason.removeprefix(TOO_WEAK).split()[0]) if weak else 0.0

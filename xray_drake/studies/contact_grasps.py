@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from xray_drake.grasping.candidates import Failures
 from xray_drake.grasping.evidence.model import ModelEvidence
-from xray_drake.grasping.judgement import GRAVITY, TOO_WEAK, JudgedGrasp
+from xray_drake.grasping.judgement import GRAVITY, JudgedGrasp
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import (
     Grasp,
@@ -251,8 +251,7 @@ def _draw_grasps(
                 grasp, poses, X_WG_perturbed=grasp.X_WG, friction=friction
             )
             held = judged.quality > 0.0
-            by_wrench = judged.reason.startswith(TOO_WEAK)
-            if not (held or by_wrench) or held not in wanted:
+            if not (held or judged.is_too_weak) or held not in wanted:
                 continue
             wanted.remove(held)
             stopped = replace(

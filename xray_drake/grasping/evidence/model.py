@@ -34,7 +34,6 @@ from xray_drake.grasping.judgement import (
     DOWN,
     GRAVITY,
     GripperModel,
-    too_weak,
 )
 from xray_drake.grasping.seal import Seal
 from xray_drake.grasping.wrench import jaw_holding_force
@@ -297,7 +296,7 @@ class PlacedModel:
         most = gripper.most_held(self.friction)
         if self.weight < most:
             return jaws
-        failures[GraspKind.JAW, too_weak(most, self.weight)] += len(jaws)
+        failures.count_weak(GraspKind.JAW, most, self.weight, len(jaws))
         return jaws.take(slice(0))
 
     def _cups(
@@ -323,8 +322,10 @@ class PlacedModel:
         held = 1 - self.weight / holding
         weak = holding[held <= 0]
         if len(weak):
-            reason = too_weak(float(weak.max()), self.weight)
-            failures[GraspKind.SUCTION, reason] += len(weak)
+            strongest = float(weak.max())
+            failures.count_weak(
+                GraspKind.SUCTION, strongest, self.weight, len(weak)
+            )
         return replace(cups, score=held * cups.score).take(held > 0)
 
     def _points_around(self) -> np.ndarray:
