@@ -90,6 +90,19 @@ class SearchView:
     outlook: Outlook | None = None
     true_mask: np.ndarray | None = None
 
+    def foresight(self, ranking: str) -> tuple[Outlook, Planning]:
+        """Returns what a ranking needs that imagines removals.
+
+        Args:
+            ranking: who asks, for the message.
+
+        Raises:
+            ValueError: the view has no outlook or cannot plan.
+        """
+        if self.outlook is None or self.plan is None:
+            raise ValueError(f"{ranking} needs an outlook and a planner")
+        return self.outlook, self.plan
+
 
 @dataclass(frozen=True, eq=False)
 class Scores:

@@ -57,12 +57,11 @@ class GraspAware:
         Raises:
             ValueError: the view has no outlook or cannot plan.
         """
-        if view.outlook is None or view.plan is None:
-            raise ValueError("grasp_aware needs an outlook and a planner")
+        outlook, plan = view.foresight("grasp_aware")
         if view.target not in view.candidates:
             return self.search(view, rng)
-        values = self._values(view, view.outlook, view.plan)
-        places = self._places(view, view.outlook)
+        values = self._values(view, outlook, plan)
+        places = self._places(view, outlook)
         own = np.array(
             [[values.get(n, 0.0), places[n]] for n in view.candidates]
         )

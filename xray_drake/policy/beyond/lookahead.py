@@ -62,15 +62,14 @@ class Lookahead:
         Raises:
             ValueError: the view has no outlook or cannot plan.
         """
-        if view.outlook is None or view.plan is None:
-            raise ValueError("lookahead needs an outlook and a planner")
+        outlook, plan = view.foresight("lookahead")
         base = xray(view, rng)
         target = view.target if view.target in view.candidates else ""
-        certain = chance(view.plan(target).grasp) if target else 0.0
+        certain = chance(plan(target).grasp) if target else 0.0
         if certain > 0:
             values = {target: certain * view.occupancy.support_size()}
         else:
-            values = self._values(view, view.outlook, view.plan)
+            values = self._values(view, outlook, plan)
         own = [[values.get(name, 0.0)] for name in view.candidates]
         return Scores(
             np.hstack([np.reshape(own, (-1, 1)), base.values]), base.hides
