@@ -3,8 +3,8 @@
 An object is called ``family_number``, as in ``bottle_003``. Its name decides
 all of it: the table ``families/draws.json`` gives the draw that the number
 stands for, and the generator is seeded from the family's name and the draw.
-The table leaves out draws that look like another object's (measured by
-``tests/scene/likeness.py``) and says which split an object belongs to.
+The table leaves out draws that look like another object's (``Likeness`` in
+``tests/scene/test_library.py``) and says which split an object belongs to.
 ``bottle_003_packaged`` is the same object on a backing card
 (:mod:`xray_drake.scene.packaging`).
 """
