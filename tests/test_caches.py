@@ -26,6 +26,13 @@ def no_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
 
 
+@pytest.fixture
+def kernels_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is a folder for compiled kernels."""
+    monkeypatch.setenv(kernels.VARIABLE, str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+
 def test_a_folder_that_exists_or_can_be_made_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,20 +84,17 @@ def add(a: int, b: int) -> int:
     return a + b
 
 
-@pytest.fixture
-def read_only_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_writable_package_kernels_are_compiled(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """Numba can write neither beside a file nor into a user's cache."""
     for name in ("InTreeCacheLocator", "UserWideCacheLocator"):
         found = getattr(numba.core.caching, f"_{name}", None) or getattr(
             numba.core.caching, name
         )
         monkeypatch.setattr(found, "from_function", lambda *_: None)
-
-
-@pytest.mark.usefixtures("read_only_package")
-def test_without_a_writable_package_kernels_are_compiled(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
     with pytest.raises(RuntimeError, match="cannot cache"):
         numba.njit(cache=True)(add)
     assert kernel()(add)(1, 2) == 3
@@ -101,13 +105,12 @@ def test_without_a_writable_package_kernels_are_compiled(
     assert list(folder.rglob("*.nbc"))  # kept for other processes
 
 
+@pytest.mark.usefixtures("kernels_at")
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 @pytest.mark.parametrize("content", [b"", b"not a pickle"])
 def test_a_damaged_cache_of_kernels_is_made_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, content: bytes
+    tmp_path: Path, suffix: str, content: bytes
 ) -> None:
-    monkeypatch.setenv(kernels.VARIABLE, str(tmp_path))
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert kernel()(add)(1, 2) == 3
     (path,) = tmp_path.rglob(f"*{suffix}")
     whole = path.stat().st_size
@@ -116,12 +119,10 @@ def test_a_damaged_cache_of_kernels_is_made_anew(
     assert path.stat().st_size == whole
 
 
+@pytest.mark.usefixtures("kernels_at")
 def test_a_full_disk_costs_only_the_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv(kernels.VARIABLE, str(tmp_path))
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

@@ -33,75 +33,57 @@ def test_all_jobs_are_done_and_values_come_in_order(workers: int) -> None:
     assert sorted(doubled) == [(1, 2), (2, 4)]
 
 
-def wait_for_file(folder: Path, job: str) -> None:
+def crowd(folder: Path, job: str) -> Iterator[tuple[int, int]]:
     """Job "slow" is done after "quick", whose result was received."""
-    if job == "slow":
-        while not (folder / "received").exists():
-            time.sleep(0.01)
-
-
-def test_results_come_as_they_end(tmp_path: Path) -> None:
-    order = []
-    work = partial(wait_for_file, tmp_path)
-    for job, _ in run_jobs(work, ["slow", "quick"], workers=2):
-        order.append(job)
-        (tmp_path / "received").touch()
-    assert order == ["quick", "slow"]
-
-
-def crowd(folder: Path, job: int) -> Iterator[tuple[int, int]]:
     mine = folder / str(os.getpid())
     mine.touch()
-    yield os.getpid(), len(list(folder.iterdir()))
+    while job == "slow" and not (folder / "received").exists():
+        time.sleep(0.01)
+    yield os.getpid(), len(list(folder.glob("[0-9]*")))
     mine.unlink()
 
 
-def test_no_more_processes_than_workers(tmp_path: Path) -> None:
-    found = list(run_jobs(partial(crowd, tmp_path), range(4), workers=2))
-    pids, crowds = zip(*(value for _, value in found), strict=True)
+def test_no_more_processes_than_workers_and_results_come_as_they_end(
+    tmp_path: Path,
+) -> None:
+    jobs = ["slow", "quick", "a", "b"]
+    order, found = [], []
+    for job, value in run_jobs(partial(crowd, tmp_path), jobs, workers=2):
+        order.append(job)
+        found.append(value)
+        (tmp_path / "received").touch()
+    assert order.index("quick") < order.index("slow")
+    pids, crowds = zip(*found, strict=True)
     assert len(set(pids)) == 4  # a process for each
     assert max(crowds) <= 2
 
 
 def die_at_two(job: tuple[int, ...]) -> Iterator[int]:
+    """Dies at 2, and after 0."""
     for value in job:
         if value == 2:
             os.kill(os.getpid(), signal.SIGKILL)
         yield value
+        if value == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_job_whose_process_is_killed_is_tried_again_then_lost() -> None:
     jobs: Any = [(1, 2, 3), (4,)]
     found = list(run_jobs(die_at_two, jobs, workers=1, lost=lambda lost: lost))
     reason = "its process was killed by SIGKILL, perhaps since memory ran out"
+    told = f"{reason} ({ATTEMPTS} times)"
+    lost = Lost((1, 2, 3), "died", told, status=-signal.SIGKILL)
     assert found == [
         *[((1, 2, 3), 1)] * ATTEMPTS,
-        (
-            (1, 2, 3),
-            Lost(
-                (1, 2, 3),
-                "died",
-                f"{reason} ({ATTEMPTS} times)",
-                status=-signal.SIGKILL,
-            ),
-        ),
+        ((1, 2, 3), lost),
         ((4,), 4),
     ]
+    assert how_it_died(-63) == "was killed by signal 63"
+    assert how_it_died(3) == "ended with status 3"
     named: Any = {"name": "job {}".format, "advice": "go on"}
     with pytest.raises(JobError, match=r"^job \(2,\): its .*times\); go on$"):
         list(run_jobs(die_at_two, [(2,)], workers=1, **named))
-
-
-@pytest.mark.parametrize(
-    ("status", "told"),
-    [
-        (-signal.SIGSEGV, "was killed by SIGSEGV"),
-        (-63, "was killed by signal 63"),
-        (3, "ended with status 3"),
-    ],
-)
-def test_how_a_process_died_is_told(status: int, told: str) -> None:
-    assert how_it_died(status) == told
 
 
 def without(job: tuple[int, ...], value: object) -> tuple[int, ...] | None:
@@ -110,17 +92,27 @@ def without(job: tuple[int, ...], value: object) -> tuple[int, ...] | None:
     return tuple(v for v in job if v != value) or None
 
 
-def test_what_was_yielded_is_not_done_again() -> None:
-    """Nor what was lost, where that has a value in its place."""
+@pytest.mark.parametrize(
+    ("job", "expected"),
+    [
+        pytest.param(
+            (1, 2, 3),
+            [((1, 2, 3), 1), ((2, 3), "died"), ((3,), 3)],
+            id="nor what was lost, where that has a value in its place",
+        ),
+        pytest.param((5, 2), [((5, 2), 5), ((2,), "died")], id="nothing left"),
+        pytest.param((5, 0), [((5, 0), 5), ((0,), 0)], id="it died when done"),
+    ],
+)
+def test_what_was_yielded_is_not_done_again(
+    job: tuple[int, ...], expected: list
+) -> None:
     found = run_jobs(
-        die_at_two,
-        [(1, 2, 3)],
-        workers=1,
-        remaining=without,
-        lost=lambda lost: lost,
+        die_at_two, [job], workers=1, remaining=without, lost=lambda lost: lost
     )
-    told = [(j, v.cause if isinstance(v, Lost) else v) for j, v in found]
-    assert told == [((1, 2, 3), 1), ((2, 3), "died"), ((3,), 3)]
+    assert [
+        (j, v.cause if isinstance(v, Lost) else v) for j, v in found
+    ] == expected
 
 
 def yield_then_stay(job: tuple[int, ...]) -> Iterator[int]:
@@ -156,12 +148,8 @@ def test_a_script_needs_no_guard_and_keeps_its_threads(tmp_path: Path) -> None:
     long = tmp_path / ("long" * 25)
     long.mkdir()
     (tmp_path / "script.py").write_text(SCRIPT)
-    root = Path(__file__).parents[1]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(root),
-        "TMPDIR": str(long),
-    }
+    root = str(Path(__file__).parents[1])
+    environment = {**os.environ, "PYTHONPATH": root, "TMPDIR": str(long)}
     environment.pop("OMP_NUM_THREADS", None)
     made = subprocess.run(
         [sys.executable, "script.py"],
@@ -171,16 +159,6 @@ def test_a_script_needs_no_guard_and_keeps_its_threads(tmp_path: Path) -> None:
         text=True,
     )
     assert made.stdout == "[0, 1]\nNone\n", made.stderr
-
-
-def yield_then_die(job: tuple[int, ...]) -> Iterator[int]:
-    yield from job
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def test_a_process_that_dies_with_nothing_left_to_do_is_done() -> None:
-    found = run_jobs(yield_then_die, [(1, 2)], workers=1, remaining=without)
-    assert list(found) == [((1, 2), 1), ((2,), 2)]
 
 
 def yield_pid_and_much(job: int) -> Iterator[int | bytes]:
@@ -201,7 +179,7 @@ def test_a_process_killed_in_the_middle_of_a_message_died() -> None:
     assert found == [*[int] * ATTEMPTS, Lost]
 
 
-def fail(job: str) -> None:
+def fail(job: str) -> object:
     # Imported here: other jobs need not wait for it.
     from pydrake.multibody.plant import MultibodyPlant
 
@@ -215,23 +193,28 @@ def fail(job: str) -> None:
         MultibodyPlant(time_step=-1.0)
     elif job == "numpy":
         np.zeros(3) + np.zeros(4)
+    elif job == "not to be sent":
+        return lambda: job
     else:
         MultibodyPlant(time_step=0.0).GetBodyByName("x")
+    return None
 
 
-@pytest.mark.parametrize("workers", [0, 1])
 @pytest.mark.parametrize(
-    ("job", "reason", "traceback"),
+    ("job", "reason", "traceback", "workers"),
     [
-        ("message", "no family is called 'no'", ""),
-        ("file", "[Errno 2] No such file or directory: 'no\\nfile'", ""),
-        ("numpy", "ValueError: operands could not be", "in fail"),
-        ("drake", "RuntimeError: ", "in fail"),
-        ("assertion", "SystemExit: Failure at ", "in fail"),
+        ("message", "no family is called 'no'", [], 0),
+        ("message", "no family is called 'no'", [], 1),
+        ("file", "[Errno 2] No such file or directory: 'no\\nfile'", [], 1),
+        ("numpy", "ValueError: operands could not be", ["in fail"], 0),
+        ("numpy", "ValueError: operands could not be", ["in fail"], 1),
+        ("drake", "RuntimeError: ", ["in fail"], 1),
+        ("assertion", "SystemExit: Failure at ", ["in fail"], 1),
+        ("not to be sent", "", ["fail"], 1),
     ],
 )
 def test_an_exception_is_one_line_and_a_fault_keeps_its_traceback(
-    job: str, reason: str, traceback: str, workers: int
+    job: str, reason: str, traceback: list[str], workers: int
 ) -> None:
     """So a fault of NumPy's or Drake's is told from a message for the user."""
     with pytest.raises(JobError) as caught:
@@ -239,17 +222,8 @@ def test_an_exception_is_one_line_and_a_fault_keeps_its_traceback(
     assert str(caught.value).startswith(f"{job}: {reason}")
     assert "\n" not in str(caught.value)
     notes = getattr(caught.value, "__notes__", [])
-    assert [traceback in note for note in notes] == [True] * bool(traceback)
-
-
-def return_what_cannot_be_sent(job: int) -> object:
-    return lambda: job
-
-
-def test_a_value_that_cannot_be_sent_is_told() -> None:
-    name = return_what_cannot_be_sent.__name__
-    with pytest.raises(JobError, match=name):
-        list(run_jobs(return_what_cannot_be_sent, [1], workers=1))
+    assert len(notes) == len(traceback)
+    assert all(t in note for t, note in zip(traceback, notes, strict=True))
 
 
 def yield_pid_and_stay(job: int) -> Iterator[int]:

@@ -1,7 +1,9 @@
 """Datasets that tests write themselves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -54,23 +56,34 @@ def flip_bit(path: Path, image: int = 0) -> None:
     path.write_bytes(data)
 
 
+def write_one(
+    folder: Path,
+    manifest: Manifest,
+    name: str,
+    samples: Sequence[Sample],
+    **changes: Any,
+) -> None:
+    """Writes a shard of a dataset; ``changes`` to its attributes."""
+    split, _, number = Path(name).stem.partition("-")
+    attributes = ShardAttributes(
+        split=split,
+        scenario=manifest.scenario,
+        package_version="0.1.0",
+        drake_version="1.51.1",
+        dataset=manifest.fingerprint(),
+        index=int(number),
+    )
+    write_shard(folder / name, samples, replace(attributes, **changes))
+
+
 def write_dataset(
     folder: Path, manifest: Manifest, make: Callable[[int], Sample]
 ) -> Path:
     """Writes a complete dataset; ``make`` gives the sample of a number."""
     write_manifest(folder, manifest)
     for shard in manifest.expected_shards():
-        write_shard(
-            folder / shard.name,
-            [make(shard.first + i) for i in range(shard.count)],
-            ShardAttributes(
-                split=shard.split,
-                scenario=manifest.scenario,
-                package_version="0.1.0",
-                drake_version="1.51.1",
-                dataset=manifest.fingerprint(),
-            ),
-        )
+        samples = [make(shard.first + i) for i in range(shard.count)]
+        write_one(folder, manifest, shard.name, samples)
     return folder
 
 

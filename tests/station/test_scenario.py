@@ -17,14 +17,8 @@ from pydrake.geometry import Rgba
 from pydrake.math import RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
-from xray_drake.configuration import (
-    Choice,
-    Interval,
-    Numbers,
-    Rectangle,
-    fields_of,
-    rules_of,
-)
+from xray_drake.configuration import fields_of, rules_of
+from xray_drake.ranges import Choice, Interval, Numbers, Rectangle
 from xray_drake.scene.cameras import pinhole_camera, sample_camera
 from xray_drake.station import scenario as scenario_module
 from xray_drake.station.drake_rules import DRAKE_RULES

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from torch import Tensor
@@ -35,11 +35,9 @@ def sure(label: Tensor) -> Tensor:
 
 def test_a_perfect_answer_has_no_loss() -> None:
     label, real = mask(), torch.ones(3, dtype=torch.bool)
-    assert robust_loss(sure(label), label) < 1e-6
+    for each in (label, torch.zeros(SHAPE)):
+        assert robust_loss(sure(each), each) < 1e-6
     assert posterior_loss(sure(label), label, real) < 1e-6
-    assert mse_loss(random(0), random(0)) == 0
-    empty = torch.zeros(SHAPE)
-    assert robust_loss(sure(empty), empty) < 1e-6
 
 
 @pytest.mark.parametrize("miss_weight", [0.0, 1.0])
@@ -80,9 +78,10 @@ def test_misses_ask_for_one_of_two_answers_not_for_one_between() -> None:
     assert best(1.0) == 0.0
 
 
-@given(wrong=st.integers(1, 200), right=st.integers(0, 100))
+@given(wrong=st.integers(1, 40), right=st.integers(0, 200))
 @settings(deadline=None, max_examples=30)
 def test_more_wrong_pixels_are_worse(wrong: int, right: int) -> None:
+    """In any image of a batch."""
     label = mask()
     off = torch.zeros(label.numel())
     off[:right] = 1
@@ -103,19 +102,6 @@ def test_missing_a_small_label_costs_more_than_its_share_of_pixels() -> None:
     empty = sure(torch.zeros(1, 64, 64))
     ratio = robust_loss(empty, large) / robust_loss(empty, small)
     assert 1 < ratio < 100  # of 256 times as many pixels
-
-
-def test_every_image_counts_in_the_batch() -> None:
-    label = torch.zeros(SHAPE)
-    label[0, 0, 0] = 1
-    label[1] = 1
-    for index in range(2):
-        answer = label.clone()
-        answer[index] = 0
-        logits = sure(answer).requires_grad_()
-        robust_loss(logits, label).backward()
-        assert logits.grad is not None
-        assert (logits.grad[index] < 0).any()
 
 
 def test_the_papers_loss_is_the_mean_square() -> None:
@@ -177,20 +163,19 @@ _images = arrays(
 
 
 @given(output=_images, label=_images, exact=st.booleans())
+@example(np.zeros(SHAPE), np.zeros(SHAPE), False)
+@example(np.ones(SHAPE), np.ones(SHAPE), False)
 @settings(deadline=None, max_examples=25)
 def test_pixels_are_counted_as_the_evaluation_does(
     output: np.ndarray, label: np.ndarray, exact: bool
 ) -> None:
+    """What is not defined is NaN."""
     if exact:
         output = label
     metrics = OccupancyMetrics()
     for g, p in zip(label, output, strict=True):
         metrics.update(torch.from_numpy(p)[None], torch.from_numpy(g)[None])
-    expected = sum(
-        (reference(g, p) for g, p in zip(label, output, strict=True)),
-        PixelCounts(),
-    )
-    assert metrics.counts.dtype == torch.float64
+    expected = sum(map(reference, label, output), PixelCounts())
     assert metrics.counts.tolist() == list(dataclasses.astuple(expected))
     told = metrics.compute()
     assert set(told) == {"balanced_accuracy", "iou"}
@@ -198,18 +183,3 @@ def test_pixels_are_counted_as_the_evaluation_does(
         assert value == pytest.approx(getattr(expected, name), nan_ok=True)
     metrics.reset()
     assert not metrics.counts.any()
-
-
-@pytest.mark.parametrize(
-    ("value", "balanced_accuracy", "iou"),
-    [(0.0, np.nan, np.nan), (1.0, np.nan, 1.0)],
-)
-def test_what_is_not_defined_is_nan(
-    value: float, balanced_accuracy: float, iou: float
-) -> None:
-    image = torch.full(SHAPE, value)
-    metrics = OccupancyMetrics()
-    metrics.update(image, image)
-    np.testing.assert_equal(
-        list(metrics.compute().values()), [balanced_accuracy, iou]
-    )

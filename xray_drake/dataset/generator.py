@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
-from xray_drake.configuration import Interval, with_paths
+from xray_drake.configuration import with_paths
 from xray_drake.dataset.check import TILTED
 from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
@@ -22,6 +22,7 @@ from xray_drake.dataset.shards import ShardAttributes, write_shard
 from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.provenance import versions
+from xray_drake.ranges import Interval
 from xray_drake.scene.cameras import sample_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel

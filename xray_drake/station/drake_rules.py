@@ -2,7 +2,8 @@
 
 from pydrake.systems.analysis import GetIntegrationSchemes
 
-from xray_drake.configuration import Choice, Interval, Numbers, Rules
+from xray_drake.configuration import Rules
+from xray_drake.ranges import Choice, Interval, Numbers
 
 _METRES = Interval(-100, 100)
 _ROOM = Numbers(_METRES, (3,))
