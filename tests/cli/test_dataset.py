@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from tests.cli.running import answer, complaint, output
-from tests.dataset.whole import bare_sample, flip_bit, write_dataset
+from tests.dataset.whole import bare_sample, flip_bit, tiny_dataset
 from xray_drake.cli import inspect as inspect_module
-from xray_drake.dataset.manifest import Manifest
 from xray_drake.dataset.sample import Sample
 
 
@@ -20,116 +19,94 @@ def _sample(heap_seed: int) -> Sample:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    manifest = Manifest(
-        seed=0,
-        targets=("box_2to1",),
-        splits={"train": 3},
-        shard_size=2,
-        views_per_heap=1,
-        height=24,
-        width=32,
-        scenario="name: tiny\n",
-    )
-    return write_dataset(tmp_path, manifest, _sample)
+    return tiny_dataset(tmp_path, _sample, 3, shard_size=2, shape=(24, 32))
 
 
-@pytest.mark.parametrize("options", [[], ["--fast"]])
-def test_check_of_a_sound_dataset(folder: Path, options: list[str]) -> None:
-    out = output("dataset", "check", folder, *options)
-    assert out.startswith("sound")
-    assert "3 of 3 samples in 2 shards" in out
-    assert len(out.splitlines()) == 1
+@pytest.mark.parametrize("option", ["", "--fast"])
+def test_check_of_a_sound_dataset(folder: Path, option: str) -> None:
+    (line,) = output("dataset check", folder, option).splitlines()
+    assert line.startswith("sound")
+    assert "3 of 3 samples in 2 shards" in line
 
 
 def test_check_of_a_damaged_dataset(folder: Path) -> None:
     flip_bit(folder / "train-00001.h5")
-    code, out, _ = answer("dataset", "check", folder)
+    code, out, _ = answer("dataset check", folder)
     assert code == 1
     defect, count = out.splitlines()
     assert defect.startswith("train-00001.h5: damaged or no shard: Can")
     assert count == "1 defect: 3 of 3 samples in 2 shards"
     (folder / "train-00000.h5").unlink()
-    code, out, _ = answer("dataset", "check", "--fast", folder)
+    code, out, _ = answer("dataset check --fast", folder)
     assert code == 1
     assert out.splitlines()[0] == "train-00000.h5: missing"
 
 
 def test_check_as_json(folder: Path) -> None:
     (folder / "train-00000.h5").unlink()
-    code, out, _ = answer("dataset", "check", "--json", folder)
+    code, out, _ = answer("dataset check --json", folder)
     assert code == 1
     report = json.loads(out)
     assert not report["sound"]
-    assert report["defects"] == [
-        {
-            "file": "train-00000.h5",
-            "sample": None,
-            "key": None,
-            "problem": "missing",
-        }
-    ]
+    nothing = {"sample": None, "key": None}
+    defect = {"file": "train-00000.h5", **nothing, "problem": "missing"}
+    assert report["defects"] == [defect]
     assert report["num_samples"] == 1
     assert report["num_expected"] == 3
     assert report["statistics"]["fully_visible"] == 1.0
 
 
 def test_info(folder: Path) -> None:
-    out = output("dataset", "info", folder)
+    out = output("dataset info", folder)
     for words in ("3 of 3", "box_2to1", "32×24", "Drake 1.51.1", "100.0%"):
         assert words in out
-    as_json = output("dataset", "info", "--json", folder)
+    as_json = output("dataset info --json", folder)
     assert json.loads(as_json)["statistics"]["objects_max"] == 0
 
 
 @pytest.mark.parametrize(
     "command",
-    [
-        *(["dataset", "check"], ["dataset", "info"], ["inspect"]),
-        ["evaluate", "occupancy"],
-    ],
+    ["dataset check", "dataset info", "inspect", "evaluate occupancy"],
 )
-def test_no_dataset_is_one_line(tmp_path: Path, command: list[str]) -> None:
+def test_no_dataset_is_one_line(tmp_path: Path, command: str) -> None:
     (tmp_path / "nothing").mkdir()
-    line = complaint(*command, tmp_path / "nothing")
+    line = complaint(command, tmp_path / "nothing")
     assert "nothing is no dataset" in line
     assert "xray-drake generate" in line
 
 
-def test_inspect_writes_a_figure(folder: Path) -> None:
-    out = folder / "figure.png"
-    told = output("inspect", folder, "--samples", 2, "--out", out)
-    assert told == f"wrote {out}\n"
-    assert out.read_bytes().startswith(b"\x89PNG")
-
-
-def test_inspect_writes_beside_the_caller_by_default(
+def test_inspect_writes_a_figure_beside_the_caller_by_default(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: Any
 ) -> None:
+    out = folder / "figure.png"
+    told = output(f"inspect {folder} --samples 2 --out {out}")
+    assert told == f"wrote {out}\n"
+    assert out.read_bytes().startswith(b"\x89PNG")
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert answer("inspect", folder)[0] == 0
+    output("inspect", folder)
     assert Path("samples.png").is_file()
 
 
 @pytest.mark.parametrize(
     ("options", "line", "code"),
     [
-        (["--index", 3], "has no sample 3: there are 3, from 0", 2),
-        (["--split", "test"], "holds no sample of what was asked for", 2),
-        (["--split", "tests"], "no split is called 'tests'", 2),
-        (["--target", "lid"], "holds no sample of what was asked for", 2),
-        (["--out", "figure.xyz"], "should end in .png, .pdf or .svg", 2),
-        (["--out", "nowhere/figure.png"], "nowhere/figure.png", 1),
+        ("--index 3", "has no sample 3: there are 3, from 0", 2),
+        ("--split test", "holds no sample of what was asked for", 2),
+        ("--split tests", "no split is called 'tests'", 2),
+        ("--target lid", "holds no sample of what was asked for", 2),
+        ("--out figure.xyz", "should end in .png, .pdf or .svg", 2),
+        ("--out nowhere/figure.png", "nowhere/figure.png", 1),
     ],
 )
 def test_what_inspect_cannot_do_is_one_line(
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
-    options: list[Any],
+    options: str,
     line: str,
     code: int,
 ) -> None:
     monkeypatch.chdir(folder)
-    assert line in complaint("inspect", folder, *options, code=code)
+    assert line in complaint("inspect", folder, options, code=code)
 
 
 def test_a_draw_depends_on_its_seed(folder: Path) -> None:
@@ -174,17 +151,10 @@ def test_inspect_in_meshcat_goes_around(
 
     monkeypatch.setattr(viewers, "start_viewer", _Viewer)
     monkeypatch.setattr("builtins.input", enter)
-    code, out, _ = answer(
-        "inspect", folder, "--meshcat", "--index", 2, "--index", 0
-    )
-    assert code == 0
+    out = output(f"inspect {folder} --meshcat --index 2 --index 0")
     assert "http://localhost:7000" in out
     lines = [li for li in out.splitlines() if li[:6] == "sample"]
-    assert [line.split(":")[0] for line in lines] == [
-        "sample 2",
-        "sample 0",
-        "sample 2",
-        "sample 0",
-    ]
+    numbers = [line.split(":")[0] for line in lines]
+    assert numbers == ["sample 2", "sample 0"] * 2
     assert shown.count("sample/scene") == 4
     assert not (Path.cwd() / "samples.png").exists()

@@ -23,17 +23,9 @@ def test_it_finds_a_machine_that_runs_these_tests_fit() -> None:
     code, lines = doctor()
     assert code == 0
     for what in (
-        "Python",
-        "drake",
-        "torch",
-        "trimesh",
-        "opencv-python-headless",
-        "system libraries",
-        "models",
-        "rendering without a screen",
-        "weights",
-        "caches",
-        "threads",
+        *("Python", "drake", "torch", "trimesh", "opencv-python-headless"),
+        *("system libraries", "models", "rendering without a screen"),
+        *("weights", "caches", "threads"),
     ):
         assert line_about(lines, what).startswith("ok ")
     assert not any("LACK" in line for line in lines)

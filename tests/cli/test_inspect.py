@@ -1,12 +1,11 @@
 """``xray-drake inspect`` of heaps and rollouts; of datasets: test_dataset."""
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.cli import running
+from tests.cli.running import complaint, output
 from xray_drake.cli import inspect_search as module
 from xray_drake.cli.inspect import kind_of
 
@@ -31,12 +30,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def recorded(small: Path) -> Path:
     """What ``search --json`` has written."""
     path = small.parent / "search.json"
-    running.output("search", "--scenario", small, "--json", path)
+    output(f"search --scenario {small} --json {path}")
     return path
-
-
-inspect = partial(running.answer, "inspect")
-complaint = partial(running.complaint, "inspect")
 
 
 def test_what_is_inspected(tmp_path: Path) -> None:
@@ -53,8 +48,7 @@ def test_what_is_inspected(tmp_path: Path) -> None:
 
 def test_a_recorded_search_as_a_page(recorded: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    code, out, err = inspect(recorded, "--html", page, "--opacity", 0.5)
-    assert (code, err) == (0, "")
+    out = output(f"inspect {recorded} --html {page} --opacity 0.5")
     # The replay is the same as the record, or it would have said so.
     assert out.split() == ["wrote", str(page)]
     text = page.read_text(encoding="utf-8")
@@ -74,8 +68,7 @@ def test_a_rollout_of_a_benchmark_live(
     monkeypatch.setattr(
         module.InspectorPage, "loop", lambda self: steps.append(self.view.step)
     )
-    code, out, err = inspect(tmp_path, "--rollout", 1, "--step", 2)
-    assert (code, err) == (0, "")
+    out = output(f"inspect {tmp_path} --rollout 1 --step 2")
     assert steps == [2]
     assert "open http://localhost:" in out
     assert "step 2 of 2, largest: " in out
@@ -85,9 +78,8 @@ def test_a_rollout_of_a_benchmark_live(
     record["versions"]["drake"] = "1.40.0"
     path = tmp_path / "old.json"
     path.write_text(json.dumps(record))
-    code, out, err = inspect(path)
-    assert code == 0
-    (line,) = [line for line in out.splitlines() if "differs" in line]
+    told = output("inspect", path).splitlines()
+    (line,) = [line for line in told if "differs" in line]
     assert "from step 2 on" in line
     assert "drake 1.40.0, now" in line
 
@@ -102,11 +94,10 @@ def test_a_heap(
         "loop",
         lambda self: shown.append(self.view.replay),
     )
-    code, out, err = inspect(
-        *("--scenario", small, "--seed", 6, "--target", "lid"),
-        *("--num-objects", 1, "--policy", "xray", "--html", page, "--meshcat"),
+    out = output(
+        f"inspect --scenario {small} --seed 6 --target lid --num-objects 1",
+        f"--policy xray --html {page} --meshcat",
     )
-    assert (code, err) == (0, "")
     (replay,) = shown
     assert replay.heap.seed == 6
     assert replay.heap.target.name == "lid"
@@ -117,32 +108,27 @@ def test_a_heap(
     assert "step 1, xray: " in out
 
 
-def test_bad_input_is_one_line(recorded: Path, tmp_path: Path) -> None:
-    assert "no file" in complaint(tmp_path / "nowhere.json")
-    assert "--samples is for a dataset, and this is a heap" in complaint(
-        "--samples", 3
-    )
-    assert "--rollout is for a rollout, and this is a heap" in complaint(
-        "--rollout", 3
-    )
-    assert "--step is for a rollout, and this is a dataset" in complaint(
-        tmp_path, "--step", 3
-    )
-    assert "--scenario is for a heap, and this is a rollout" in complaint(
-        recorded, "--scenario", "demo"
-    )
-    assert "no step 9: the rollout has 2, and 3 is its end" in complaint(
-        recorded, "--step", 9
-    )
-    assert "holds one rollout" in complaint(recorded, "--rollout", 0)
-    assert "--target once" in complaint("--target", "lid", "--target", "flute")
-    assert "nowhere" in complaint("--scenario", "nowhere")
-    assert "is a folder" in complaint(recorded, "--html", tmp_path)
-    assert "does not exist" in complaint(
-        recorded, "--html", tmp_path / "no" / "x.html"
-    )
-    old = json.loads(recorded.read_text(encoding="utf-8"))
-    del old["scenario"]
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(old))
-    assert "does not hold its scenario" in complaint(path)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("{here}/nowhere.json", "no file"),
+        ("--samples 3", "--samples is for a dataset, and this is a heap"),
+        ("--rollout 3", "--rollout is for a rollout, and this is a heap"),
+        ("{here} --step 3", "--step is for a rollout, and this is a dataset"),
+        (
+            "{it} --scenario demo",
+            "--scenario is for a heap, and this is a roll",
+        ),
+        ("{it} --step 9", "no step 9: the rollout has 2, and 3 is its end"),
+        ("{it} --rollout 0", "holds one rollout"),
+        ("--target lid --target flute", "--target once"),
+        ("--scenario nowhere", "nowhere"),
+        ("{it} --html {here}", "is a folder"),
+        ("{it} --html {here}/no/x.html", "does not exist"),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: str, said: str, recorded: Path, tmp_path: Path
+) -> None:
+    line = words.format(it=recorded, here=tmp_path)
+    assert said in complaint("inspect", line)

@@ -1,15 +1,12 @@
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests.benchmark.synthetic import record, write_folder
-from tests.cli.running import answer, complaint
+from tests.cli.running import complaint, output
 from xray_drake.benchmark.comparison import make_report
 from xray_drake.benchmark.records import collect
 from xray_drake.benchmark.report import markdown, success_table
-
-report = partial(answer, "report")
 
 
 @pytest.fixture
@@ -27,8 +24,7 @@ def two(tmp_path: Path) -> Path:
 
 
 def test_it_is_written_beside_the_rollouts(one: Path) -> None:
-    code, out, err = report(one)
-    assert (code, err) == (0, "")
+    out = output("report", one)
     made = make_report(collect([one]))
     assert "\n".join(success_table(made)) in out
     assert (one / "report.md").read_text(encoding="utf-8") == markdown(made)
@@ -48,24 +44,21 @@ def test_folders_are_merged_into_another(
     assert not (one / "report.md").exists()
 
 
-def test_what_does_not_belong_together_is_one_line(
-    one: Path, two: Path
+@pytest.mark.parametrize(
+    ("words", "said", "code"),
+    [
+        ("{one} {two}", ["{one}", "{two}"], 2),
+        ("{here}/none", ["{here}/none"], 2),
+        ("{one} --out {here}/file", ["{here}/file"], 1),
+    ],
+    ids=["of other scenarios", "no rollouts", "no place to write"],
+)
+def test_what_cannot_be_is_one_line(
+    words: str, said: list[str], code: int, one: Path, two: Path, tmp_path: Path
 ) -> None:
     (two / "scenario.yaml").write_text("horizon: 4\n", encoding="utf-8")
-    line = complaint("report", one, two)
-    assert str(one) in line and str(two) in line
+    (tmp_path / "file").write_text("not a folder", encoding="utf-8")
+    paths = {"one": one, "two": two, "here": tmp_path}
+    line = complaint("report", words.format(**paths), code=code)
+    assert all(part.format(**paths) in line for part in said)
     assert not (one / "report.md").exists()
-
-
-def test_a_folder_without_rollouts_is_one_line(tmp_path: Path) -> None:
-    line = complaint("report", tmp_path / "none")
-    assert str(tmp_path / "none") in line
-
-
-def test_a_place_that_cannot_be_written_is_one_line(
-    one: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "file"
-    path.write_text("not a folder", encoding="utf-8")
-    line = complaint("report", one, "--out", path, code=1)
-    assert str(path) in line

@@ -4,14 +4,12 @@ import re
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import cv2
 import pytest
 
-from tests.cli import running
-from tests.cli.running import answer
+from tests.cli.running import complaint, output
 from tests.disk import full_disk
 
 TOP_KEYS = {
@@ -46,123 +44,55 @@ def small(tmp_path: Path) -> Path:
     return path
 
 
-search = partial(answer, "search")
-
-
-complaint = partial(running.complaint, "search")
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "named"),
-    [
-        ("--policy", "greedy", ["policy.name", "greedy", "largest"]),
-        ("--target", "box_11to1", ["scene.target", "box_11to1", "domino"]),
-        ("--num-objects", 0, ["scene.num_objects", "0"]),
-        ("--num-objects", -3, ["scene.num_objects", "-3"]),
-        ("--horizon", 0, ["horizon", "0"]),
-        ("--seed", -1, ["seed", "-1"]),
-        ("--execution", "magic", ["gripper.execution", "magic"]),
-        ("--grasps", "magic", ["gripper.grasps", "magic"]),
-        (
-            "--occupancy",
-            "magic",
-            ["perception.occupancy", "magic"],
-        ),
-        ("--detector", "magic", ["perception.detector", "magic"]),
-        ("--segmenter", "magic", ["perception.segmenter", "magic"]),
-        ("--segmenter", "depth", ["segmenter is depth", "grasps: depth"]),
-        ("--scenario", "dmeo", ["dmeo", "demo"]),
-        ("--scenario", "no/such.yaml", ["no/such.yaml"]),
-    ],
-)
-def test_bad_options(option: str, value: object, named: list[str]) -> None:
-    line = complaint(option, value)
-    for word in named:
-        assert word in line
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("scene: {target: box_2to1", ["not YAML"]),
-        ("a: b: c", ["not YAML"]),
-        ("- one\n- two\n", ["top level", "list"]),
-        ("horizn: 3\n", ["horizn", "horizon"]),
-        ("scene: {targt: domino}\n", ["scene.targt", "scene.target"]),
-        ("horizon: many\n", ["horizon", "many"]),
-        ("horizon: 3\nhorizon: 4\n", ["horizon", "twice"]),
-        ("scene: {target: brick}\n", ["scene.target", "brick"]),
-        ("policy: largest\n", ["policy", "largest"]),
-        ("plant_config: {contact_model: foo}\n", ["plant_config", "foo"]),
-    ],
-)
-def test_bad_scenario_files(
-    text: str, named: list[str], tmp_path: Path
-) -> None:
-    path = tmp_path / "bad.yaml"
-    path.write_text(text, encoding="utf-8")
-    line = complaint("--scenario", path)
-    assert str(path) in line
-    for word in named:
-        assert word in line
-
-
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (("--film-strip", "film.mp4"), ["film.mp4", ".png"]),
-        (("--meshcat", "--film-strip", "film.png"), ["--film-strip"]),
-        (("--meshcat", "--html", "a.html"), ["--html", "leave out --meshcat"]),
+        ("--policy greedy", ["policy.name", "greedy", "largest"]),
+        ("--target box_11to1", ["scene.target", "box_11to1", "domino"]),
+        ("--execution magic", ["gripper.execution", "magic"]),
+        ("--grasps magic", ["gripper.grasps", "magic"]),
+        ("--occupancy magic", ["perception.occupancy", "magic"]),
+        ("--detector magic", ["perception.detector", "magic"]),
+        ("--segmenter depth", ["segmenter is depth", "grasps: depth"]),
+        ("--scenario dmeo", ["dmeo", "demo"]),
+        ("--scenario no/such.yaml", ["no/such.yaml"]),
+        ("--scenario bad.yaml", ["bad.yaml", "scene.targt", "scene.target"]),
+        ("--meshes missing", ["missing"]),
+        ("--meshes empty", ["empty"]),
+        ("--meshes broken", ["broken"]),
+        ("--html nowhere/f.html", ["nowhere does not exist"]),
+        ("--json nowhere/f.json", ["nowhere does not exist"]),
+        ("--film-strip nowhere/f.png", ["nowhere does not exist"]),
+        ("--film-strip film.mp4", ["film.mp4", ".png"]),
+        ("--meshcat --film-strip film.png", ["--film-strip"]),
+        ("--meshcat --html a.html", ["--html", "leave out --meshcat"]),
     ],
 )
-def test_a_recording_is_a_picture_or_page_of_a_search_that_ends(
-    options: tuple[str, ...],
+def test_bad_input_is_one_line_and_nothing_is_written(
+    options: str,
     named: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    line = complaint(*options)
+    Path("bad.yaml").write_text("scene: {targt: domino}\n", encoding="utf-8")
+    Path("empty").mkdir()
+    Path("broken").mkdir()
+    Path("broken/a.obj").write_text("this is no mesh\n", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    line = complaint("search", options)
     assert all(word in line for word in named)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_scenario_file_that_is_not_text(tmp_path: Path) -> None:
-    path = tmp_path / "picture.yaml"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    assert str(path) in complaint("--scenario", path)
-
-
-@pytest.mark.parametrize("option", ["--html", "--json", "--film-strip"])
-def test_a_file_in_a_folder_that_does_not_exist(
-    option: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "nowhere" / "file.png"
-    line = complaint(option, path)
-    assert str(path.parent) in line
-    assert "does not exist" in line
-    assert not path.parent.exists()
-
-
-def test_bad_folders_of_meshes(tmp_path: Path) -> None:
-    missing, empty = tmp_path / "missing", tmp_path / "empty"
-    empty.mkdir()
-    broken = tmp_path / "broken"
-    broken.mkdir()
-    (broken / "a.obj").write_text("this is no mesh\n", encoding="utf-8")
-    for folder in (missing, empty, broken):
-        assert str(folder) in complaint("--meshes", folder)
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
+    """Here the horizon ends it before the target is out."""
     json_path, html_path = tmp_path / "a.json", tmp_path / "a.html"
     film_path = tmp_path / "a.png"
-    code, out, err = search(
-        "--scenario", small, "--json", json_path, "--html", html_path,
-        "--film-strip", film_path,
-    )  # fmt: skip
-    # Whatever the outcome: here the horizon ends it before the target is out.
-    assert (code, err) == (0, "")
+    out = output(
+        f"search --scenario {small} --json {json_path} --html {html_path}",
+        f"--film-strip {film_path}",
+    )
     record = json.loads(json_path.read_text(encoding="utf-8"))
     assert set(record) >= TOP_KEYS
     assert record["end"] in ENDS
@@ -207,21 +137,15 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
     assert "<html" in html_path.read_text(encoding="utf-8")
     # Frames beside each other, 3 inches each at 80 pixels.
     assert cv2.imread(str(film_path)).shape[1] == 240 * len(actions)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "a.html",
-        "a.json",
-        "a.png",
-        "small.yaml",
-    ]
+    assert {*tmp_path.iterdir()} == {json_path, html_path, film_path, small}
 
 
 def test_execution_by_contact(small: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    code, _, err = search(
-        *("--scenario", small, "--execution", "contact", "--json", path),
-        *("--num-objects", 1, "--horizon", 1),
+    output(
+        f"search --scenario {small} --execution contact --json {path}",
+        "--num-objects 1 --horizon 1",
     )
-    assert (code, err) == (0, "")
     record = json.loads(path.read_text(encoding="utf-8"))
     assert record["execution"] == "contact"
     (action,) = record["actions"]
@@ -234,20 +158,12 @@ def test_execution_by_contact(small: Path, tmp_path: Path) -> None:
 def test_a_full_disk_is_one_line(small: Path, tmp_path: Path) -> None:
     path = tmp_path / "record.json"
     path.write_text("old", encoding="utf-8")
+    options = f"--scenario {small} --num-objects 1 --json {path}"
     with full_disk(500):
-        code, out, err = search(
-            "--scenario", small, "--num-objects", 1, "--json", path
-        )
-    assert code == 1
-    (line,) = err.splitlines()
-    assert line.startswith("xray-drake: ")
+        line = complaint("search", options, code=1)
     assert "too large" in line.lower()
-    assert "wrote" not in out
     assert path.read_text(encoding="utf-8") == "old"
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "record.json",
-        "small.yaml",
-    ]
+    assert {*tmp_path.iterdir()} == {path, small}
 
 
 def test_ctrl_c_leaves_the_record_so_far(small: Path, tmp_path: Path) -> None:
@@ -259,9 +175,9 @@ def test_ctrl_c_leaves_the_record_so_far(small: Path, tmp_path: Path) -> None:
         "from xray_drake.cli.main import app\n"
         "app()\n"
     )
+    options = f"search --scenario {small} --horizon 10 --json {path}".split()
     process = subprocess.Popen(
-        [sys.executable, "-c", script, "search"]
-        + ["--scenario", small, "--horizon", "10", "--json", path],
+        [sys.executable, "-c", script, *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
