@@ -72,29 +72,16 @@ def test_a_seed_decides() -> None:
     np.testing.assert_array_equal(depth, flat())
 
 
-def test_a_projector_leaves_shadows_beside_what_is_near() -> None:
-    depth = np.full((4, 40), 0.8)
-    depth[:, 15:20] = 0.4
-    f, b = 100.0, 0.04  # disparities 5 and 10
-    shadow = unlit(depth, f, b)
-    assert shadow[0].nonzero()[0].tolist() == [10, 11, 12, 13, 14]
-    # On the other side for a projector on the other side.
-    shadow = unlit(depth, f, -b)
-    assert shadow[0].nonzero()[0].tolist() == [20, 21, 22, 23, 24]
-    assert not unlit(depth, f, 0.0).any()
-    depth[:, 15:20] = 0.0
-    assert not unlit(depth, f, b).any()
-
-
 @given(
     row=st.lists(
         st.sampled_from([0.0, 0.4, 0.45, 0.5, 0.8, 0.81]),
         min_size=2,
         max_size=40,
     ),
-    baseline=st.sampled_from([-0.07, 0.03, 0.11]),
+    baseline=st.sampled_from([-0.07, 0.0, 0.03, 0.11]),
 )
 def test_shadows_as_ray_by_ray(row: list[float], baseline: float) -> None:
+    """A projector leaves shadows beside what is near, on its other side."""
     depth = np.array([row])
     found = unlit(depth, 60.0, baseline)[0]
     for u, z in enumerate(row):

@@ -20,6 +20,7 @@ from xray_drake.perception.depth_segmenter import (
     DepthSegmenterConfig,
     segment_depth,
 )
+from xray_drake.testing.tiny import Observation
 
 CAMERA = CAMERAS["nominal"]
 HALF = make_camera(focal_length=276, center=(127.5, 95.5), size=(256, 192))
@@ -65,13 +66,6 @@ def test_blocks_apart(name: str) -> None:
     assert_one_each(*segment(three_blocks(), CAMERAS[name]))
 
 
-def test_names_go_by_area() -> None:
-    found, _ = segment(three_blocks())
-    assert found.names == ("segment_0", "segment_1", "segment_2")
-    areas = found.areas().tolist()
-    assert areas == sorted(areas, reverse=True)
-
-
 def test_one_across_another() -> None:
     low = block((0.12, 0.06, 0.02), 0, 0, 0.2)
     for thickness in (0.012, 0.03):
@@ -80,7 +74,9 @@ def test_one_across_another() -> None:
         score = score_segmentation(truth, found.labels)
         # The lower one is seen in two parts.
         assert (score.segments, score.recall) == (3, 1)
-        assert score.under_segmentation < 0.05
+        for name in found.names:
+            own = truth[found.mask(name)]
+            assert max(np.mean(own == 0), np.mean(own == 1)) > 0.95
 
 
 def test_two_boards_that_make_a_valley() -> None:
@@ -98,31 +94,32 @@ def test_two_boards_that_make_a_valley() -> None:
     assert_one_each(*segment(boards))
 
 
+def bowl() -> trimesh.Trimesh:
+    wall = trimesh.creation.annulus(0.03, 0.04, 0.05)
+    bottom = trimesh.creation.cylinder(0.031, 0.01)
+    bottom.apply_translation([0, 0, wall.bounds[0, 2] + 0.005])
+    return trimesh.util.concatenate([wall, bottom])
+
+
 @pytest.mark.parametrize(
-    "shape",
+    ("shape", "tilt"),
     [
-        trimesh.creation.icosphere(4, 0.03),
-        trimesh.creation.cylinder(0.02, 0.1),
-        trimesh.creation.box((0.05, 0.05, 0.05)),
-        trimesh.creation.cone(0.04, 0.07),
+        pytest.param(trimesh.creation.icosphere(4, 0.03), 0.0, id="ball"),
+        pytest.param(trimesh.creation.cylinder(0.02, 0.1), 0.6, id="cylinder"),
+        pytest.param(trimesh.creation.cylinder(0.02, 0.1), 1.57, id="rod"),
+        pytest.param(trimesh.creation.box([0.05] * 3), 0.6, id="cube"),
+        pytest.param(trimesh.creation.cone(0.04, 0.07), 0.0, id="cone"),
+        pytest.param(trimesh.creation.cone(0.04, 0.07), 1.57, id="lying cone"),
+        pytest.param(bowl(), 0.0, id="bowl"),
     ],
-    ids=["ball", "cylinder", "cube", "cone"],
 )
-@pytest.mark.parametrize("tilt", [0.0, 0.6, 1.57])
-def test_what_is_convex_is_one(shape: trimesh.Trimesh, tilt: float) -> None:
+def test_what_is_convex_or_a_bowl_is_one(
+    shape: trimesh.Trimesh, tilt: float
+) -> None:
     turned = shape.copy().apply_transform(
         trimesh.transformations.rotation_matrix(tilt, [1, 0.3, 0])
     )
     assert_one_each(*segment([lying(turned, 0.05, 0.04, 0.0)]))
-
-
-def test_a_bowl_is_one() -> None:
-    wall = trimesh.creation.annulus(0.03, 0.04, 0.05)
-    bottom = trimesh.creation.cylinder(0.031, 0.01)
-    wall.apply_translation([0, 0, 0.025])
-    bottom.apply_translation([0, 0, 0.005])
-    bowl = trimesh.util.concatenate([wall, bottom])
-    assert_one_each(*segment([bowl]))
 
 
 def test_what_is_flush_cannot_be_told_apart() -> None:
@@ -183,27 +180,20 @@ def test_a_noisy_sensor(seed: int) -> None:
 
 
 def test_the_target_is_an_instance_whatever_the_depth() -> None:
-    plate = block((0.12, 0.1, 0.02), 0, 0)
-    depth, _ = render(CAMERA, [plate])
-    target = np.zeros(CAMERA.shape, bool)
-    target[180:195, 240:260] = True  # flush with the plate
-    target[5:9, 5:9] = True  # and a part outside the bin
-    found = segment_depth(depth, CAMERA, target=target)
-    assert found.names == ("segment_0", "segment_1")
-    np.testing.assert_array_equal(found.mask("segment_1"), target)
+    depth, _ = render(CAMERA, [block((0.12, 0.1, 0.02), 0, 0)])
+    small, large = np.zeros((2, *CAMERA.shape), bool)
+    small[180:195, 240:260] = True  # flush with the plate
+    small[5:9, 5:9] = True  # and a part outside the bin
+    large[150:250, 100:250] = True
+    for target, name in ((small, "segment_1"), (large, "segment_0")):
+        found = segment_depth(depth, CAMERA, target=target)
+        assert found.names == ("segment_0", "segment_1")
+        np.testing.assert_array_equal(found.mask(name), target)
     blank = segment_depth(depth, CAMERA, target=np.zeros(CAMERA.shape, bool))
     np.testing.assert_array_equal(
         blank.labels, segment_depth(depth, CAMERA).labels
     )
     assert blank.names == ("segment_0",)
-
-
-def test_a_target_that_is_the_largest_comes_first() -> None:
-    depth, _ = render(CAMERA, [block((0.03, 0.03, 0.02), 0.1, 0.1)])
-    target = np.zeros(CAMERA.shape, bool)
-    target[150:250, 100:250] = True
-    found = segment_depth(depth, CAMERA, target=target)
-    np.testing.assert_array_equal(found.mask("segment_0"), target)
 
 
 def test_small_things_are_no_instances() -> None:
@@ -222,6 +212,14 @@ def test_images_of_another_camera() -> None:
         segment_depth(np.ones(CAMERA.shape), CAMERA, target=depth > 0)
 
 
+def test_a_rendered_heap(recorded_observation: Observation) -> None:
+    """The target, the book on it, block and plank; not the bin."""
+    seen = recorded_observation
+    target = seen.labels == seen.label_of[seen.heap.target.name]
+    found = segment_depth(seen.depth, seen.camera, target=target)
+    assert_one_each(found, seen.instances.labels)
+
+
 BLOCKS = st.tuples(
     st.floats(0.02, 0.09),
     st.floats(0.02, 0.09),
@@ -232,7 +230,7 @@ BLOCKS = st.tuples(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     blocks=st.lists(BLOCKS, min_size=1, max_size=5),
     noise=st.none() | st.integers(0, 1000),
@@ -245,7 +243,7 @@ def test_whatever_lies_there(
     if noise is not None:
         depth = DepthNoise().noisy(depth, 276.0, np.random.default_rng(noise))
     found = segment_depth(depth, HALF)
-    areas = found.areas()
+    areas = found.areas()  # the largest is called first
     assert found.names == tuple(f"segment_{i}" for i in range(len(areas)))
     assert np.all(areas >= 50)
     assert np.all(np.diff(areas) <= 0)
