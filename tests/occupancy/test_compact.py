@@ -2,29 +2,15 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from xray_drake.occupancy.learned.build import build_network
+from tests.occupancy.networks import compact
 from xray_drake.occupancy.learned.compact import OUTPUTS, CompactNet
-from xray_drake.occupancy.learned.inputs import (
-    COARSE,
-    FINE,
-    SIZE_FEATURES,
-)
+from xray_drake.occupancy.learned.inputs import COARSE, FINE, SIZE_FEATURES
 
 _SMALL = {"widths": (8, 8, 12, 16), "depths": (1, 1, 1, 2)}
 
 
-def _network(seed: int = 0, **options: object) -> CompactNet:
-    """With random weights and statistics, none of them special."""
-    torch.manual_seed(seed)
-    network = CompactNet(**{**_SMALL, **options})  # type: ignore[arg-type]
-    for name, parameter in network.named_parameters():
-        if "norm" in name or "modulation" in name:
-            nn.init.normal_(parameter, 1.0 * ("weight" in name), 0.3)
-    for module in network.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            nn.init.normal_(module.running_mean, 0.0, 0.3)
-            nn.init.uniform_(module.running_var, 0.5, 2.0)
-    return network
+def _network(**options: object) -> CompactNet:
+    return compact(**{**_SMALL, **options})
 
 
 def _inputs(batch: int = 2, shape: tuple[int, int] = (64, 96)) -> list[Tensor]:
@@ -48,27 +34,27 @@ def test_the_shipped_network_is_small_and_begins_with_empty_images() -> None:
 
 
 @pytest.mark.parametrize(
-    "shape", [(31, 32), (32, 48), (48, 32), (16, 32), (36, 64), (33, 65)]
+    ("fine", "coarse"),
+    [
+        *(
+            ((h, w), (h // 4, w // 4))
+            for h, w in ((31, 32), (32, 48), (36, 64))
+        ),
+        *(((64, 96), coarse) for coarse in ((1, 1), (16, 1), (8, 12))),
+    ],
 )
-def test_sides_that_are_no_multiples_of_32_are_refused(
-    shape: tuple[int, int],
+def test_images_that_do_not_fit_are_refused(
+    fine: tuple[int, int], coarse: tuple[int, int]
 ) -> None:
+    """Sides are multiples of 32, and four times those of coarse images."""
+    images = torch.zeros(1, len(FINE), *fine), torch.zeros(1, 3, *coarse)
     with pytest.raises((RuntimeError, ValueError)):
-        _network().eval()(*_inputs(1, shape))
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (16, 1), (8, 12), (24, 16)])
-def test_coarse_images_of_another_size_are_refused(
-    shape: tuple[int, int],
-) -> None:
-    fine, _, size = _inputs(1)
-    with pytest.raises((RuntimeError, ValueError)):
-        _network().eval()(fine, torch.zeros(1, len(COARSE), *shape), size)
+        _network()(*images, torch.zeros(1, len(SIZE_FEATURES)))
 
 
 @torch.no_grad()
 def test_what_is_sharp_goes_to_the_pixels_it_is_of() -> None:
-    network = _network().eval()
+    network = _network()
     fine, coarse, size = _inputs()
     nn.init.zeros_(network.head.weight)
     assert network.head.bias is not None
@@ -89,7 +75,7 @@ def test_what_is_sharp_goes_to_the_pixels_it_is_of() -> None:
 
 @torch.no_grad()
 def test_every_pixel_of_every_image_is_seen() -> None:
-    network = _network().eval()
+    network = _network()
     nn.init.zeros_(network.sharp.weight)
     images = _inputs(1, (32, 32))
     before = network(*images)
@@ -103,19 +89,6 @@ def test_every_pixel_of_every_image_is_seen() -> None:
                     changed[index][:, channel, 3 * side + v, 4 * side + u] += 3
                     change = (network(*changed) - before).abs()
                     assert change.max() > 1e-3, (index, channel, v, u)
-
-
-@torch.no_grad()
-def test_the_layout_in_memory_changes_no_answer() -> None:
-    network = _network().eval()
-    fine, coarse, size = _inputs()
-    last = [
-        image.contiguous(memory_format=torch.channels_last)
-        for image in (fine, coarse)
-    ]
-    torch.testing.assert_close(
-        network(*last, size), network(fine, coarse, size), rtol=0, atol=1e-5
-    )
 
 
 @pytest.mark.parametrize("options", [{}, {"depths": (2, 1, 1, 1)}])
@@ -148,7 +121,7 @@ def test_the_size_matters_once_it_is_learned() -> None:
     images = [each.expand(len(other), -1, -1, -1) for each in image]
     for answer in fresh(*images, other):
         torch.testing.assert_close(answer, fresh(*image, size)[0])
-    network = _network().eval()
+    network = _network()
     base = network(*image, size)[0]
     answers = network(*images, other)
     for name, answer in zip(SIZE_FEATURES, answers, strict=True):
@@ -157,7 +130,7 @@ def test_the_size_matters_once_it_is_learned() -> None:
 
 @torch.no_grad()
 def test_the_mean_alone_tells_a_pixel_of_what_is_far_away() -> None:
-    network = _network().eval()
+    network = _network()
     fine, coarse, size = _inputs(1, (32, 1024))
     other_fine, other_coarse = fine.clone(), coarse.clone()
     other_fine[:, :, :, 512:] += 5.0
@@ -176,7 +149,7 @@ def test_the_mean_alone_tells_a_pixel_of_what_is_far_away() -> None:
 @pytest.mark.parametrize("level", [1, 2, 3])
 @torch.no_grad()
 def test_each_level_is_joined_to_what_comes_from_below(level: int) -> None:
-    network = _network().eval()
+    network = _network()
     # Only by way of the features.
     nn.init.zeros_(network.sharp.weight)
     fine, coarse, size = _inputs(1)
@@ -196,38 +169,3 @@ def test_all_of_it_learns() -> None:
     for name, parameter in network.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.abs().max() > 0, name
-
-
-def test_each_answer_learns_from_its_own_loss() -> None:
-    network = _network().train()
-    for index in range(len(OUTPUTS)):
-        network.zero_grad()
-        network(*_inputs())[:, index].square().mean().backward()
-        for layer in (network.head, network.sharp):
-            assert layer.bias is not None
-            gradient = layer.bias.grad
-            assert gradient is not None
-            # Pixels of 4 × 4 lie side by side in the channels.
-            own = gradient.view(len(OUTPUTS), 16) != 0
-            assert own.all(dim=1).tolist() == own.any(dim=1).tolist()
-            assert own.all(dim=1).tolist() == [
-                i == index for i in range(len(OUTPUTS))
-            ]
-
-
-@pytest.mark.parametrize(
-    ("architecture", "options", "words"),
-    [
-        ("unet", {}, "no network is called 'unet': compact, fcn_resnet50"),
-        ("compact", {"width": 8}, "compact: .*'width'"),
-        ("compact", {"in_channels": 5}, "compact: .*'in_channels'"),
-        ("compact", {"widths": [8, 8]}, "unpack"),
-        ("compact", {"depths": [1, 1, 1, 1.5]}, "compact: .*float"),
-    ],
-)
-def test_what_cannot_be_built_is_one_line(
-    architecture: str, options: dict[str, object], words: str
-) -> None:
-    with pytest.raises(ValueError, match=words) as error:
-        build_network(architecture, options)
-    assert "\n" not in str(error.value)

@@ -8,8 +8,8 @@ import trimesh
 
 from tests.occupancy.brute_force import render
 from tests.occupancy.inferences import inference_of, label_inference
+from tests.occupancy.networks import Mirror, card
 from tests.occupancy.scenes import lying, make_camera
-from tests.occupancy.test_learned import Mirror, card
 from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.occupancy.label.ground_truth import occupancy_label
@@ -65,7 +65,9 @@ def removal(depth: np.ndarray) -> np.ndarray:
     "ask",
     [geometric, geometric_label, learned, segmenter, grasps, label, removal],
 )
-def test_millimetres_are_refused_and_far_readings_are_none(ask: Asked) -> None:
+def test_millimetres_are_refused_and_no_reading_is_told_alike(
+    ask: Asked,
+) -> None:
     for wrong in (
         np.round(1000 * DEPTH).astype(np.uint16),
         (1000 * DEPTH).astype(np.float32),
@@ -73,7 +75,10 @@ def test_millimetres_are_refused_and_far_readings_are_none(ask: Asked) -> None:
         with pytest.raises(ValueError, match="millimetres") as error:
             ask(wrong)
         assert "\n" not in str(error.value)
-    lost, far = DEPTH.copy(), DEPTH.copy()
-    lost[30:60:7, 40:90:9] = 0.0
-    far[30:60:7, 40:90:9] = 2.5
-    np.testing.assert_array_equal(ask(far), ask(lost))
+    answers = []
+    for nothing in (0.0, np.inf, np.nan, 2.5):
+        lost = DEPTH.copy()
+        lost[30:60:7, 40:90:9] = nothing
+        answers.append(ask(lost))
+    for other in answers[1:]:
+        np.testing.assert_array_equal(other, answers[0])

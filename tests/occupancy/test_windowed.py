@@ -6,18 +6,16 @@ import pytest
 import torch
 from torch import nn
 
+from tests.occupancy.networks import OPTIONS, card, randomized
 from tests.occupancy.scenes import make_camera
 from xray_drake.occupancy.learned.build import build_network
+from xray_drake.occupancy.learned.compact import OUTPUTS
 from xray_drake.occupancy.learned.inference import (
     LearnedInference,
     load_inference,
 )
 from xray_drake.occupancy.learned.inputs import geometry_input, size_features
-from xray_drake.occupancy.learned.weights import (
-    NetworkCard,
-    WeightsError,
-    save_weights,
-)
+from xray_drake.occupancy.learned.weights import WeightsError, save_weights
 from xray_drake.occupancy.learned.window import target_window
 from xray_drake.occupancy.learned.windowed import WindowedNet
 
@@ -25,31 +23,15 @@ CAMERA = make_camera(
     size=(256, 192), focal_length=276, center=(128, 95), tilt=5, azimuth=40
 )
 SIZE = np.array([0.04, 0.03, 0.005])
-OPTIONS: dict[str, Any] = {
-    "whole": {"widths": [8, 8, 8, 8], "depths": [1, 1, 1, 1]},
-    "near": {"widths": [12, 8, 8, 8], "depths": [2, 1, 1, 1]},
-}
-CARD = NetworkCard(
-    architecture="windowed",
-    options=OPTIONS,
-    input="geometry",
-    targets=("box_2to1",),
-    box_size=None,
-)
+PARTS = {"whole": OPTIONS, "near": {**OPTIONS, "depths": [2, 1, 1, 1]}}
+CARD = card(architecture="windowed", options=PARTS)
 
 
 def network() -> WindowedNet:
-    """With random weights; its answers vary from 0 to 1."""
     torch.manual_seed(0)
-    net = build_network("windowed", OPTIONS)
+    net = build_network("windowed", PARTS)
     assert isinstance(net, WindowedNet)
-    for part in (net.whole, net.near):
-        for module in part.modules():
-            if isinstance(module, nn.BatchNorm2d):
-                nn.init.normal_(module.running_mean, 0.0, 0.3)
-                nn.init.uniform_(module.running_var, 0.5, 2.0)
-        nn.init.normal_(part.head.weight, 0.0, 1.0)
-    return net.eval()
+    return randomized(net)
 
 
 def scene(*, seen: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -72,19 +54,19 @@ def infer(net: WindowedNet, *, seen: bool, **options: Any) -> np.ndarray:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("output", ["occupancy", "posterior"])
+@pytest.mark.parametrize("output", OUTPUTS)
 def test_a_hidden_target_is_sought_in_the_whole_image(output: Any) -> None:
     net = network()
     _, mask = scene(seen=False)
     expected = torch.sigmoid(net.whole(*asked(net.whole, mask)))
-    channel = ["occupancy", "posterior"].index(output)
+    channel = OUTPUTS.index(output)
     np.testing.assert_allclose(
         infer(net, seen=False, output=output), expected[0, channel], atol=1e-5
     )
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("output", ["occupancy", "posterior"])
+@pytest.mark.parametrize("output", OUTPUTS)
 def test_one_that_is_seen_is_sought_in_its_window(output: Any) -> None:
     net = network()
     _, mask = scene(seen=True)
@@ -99,7 +81,7 @@ def test_one_that_is_seen_is_sought_in_its_window(output: Any) -> None:
         )
     )
     expected = np.zeros(CAMERA.shape, np.float32)
-    channel = ["occupancy", "posterior"].index(output)
+    channel = OUTPUTS.index(output)
     expected[window.rows, window.columns] = part[0, channel]
     data = infer(net, seen=True, output=output)
     assert np.ptp(window.of(data)) > 0.3
