@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.sensors import ImageDepth32F
 
+from tests.alone import Alone
 from tests.policy.blocks import (
     FLOOR,
     HEIGHT,
@@ -17,13 +15,11 @@ from tests.policy.blocks import (
     look,
     overhead_camera,
 )
-from tests.ports import inputs_of
 from xray_drake.messages import (
     Grasp,
     GraspKind,
     GripperMode,
     GripperStatus,
-    Message,
     Outcome,
     SearchAction,
     TargetMask,
@@ -38,79 +34,53 @@ BOOK = Block("book", 62, 88, 14, 14)
 PEN = Block("pen", 34, 50, 3, 20)
 BEFORE = look([CUP, BOOK, PEN])
 AFTER = look([CUP.moved(0, 40), BOOK])
+MEMORY = TargetMemory(TARGET_SIZE, FLOOR)
+BUSY, IDLE = GripperMode.BUSY, GripperMode.IDLE
 
 
 class Noting(TargetMemory):
     """Notes what it is told was touched."""
 
-    touched: list[dict[str, Any]]
-
-    def __init__(self) -> None:
-        super().__init__(TARGET_SIZE, FLOOR)
-        object.__setattr__(self, "touched", [])
+    touched: dict[str, Any] = {}  # noqa: RUF012
 
     def update(self, *args: Any, **touched: Any) -> Belief:
-        self.touched.append(touched)
+        self.touched.update(touched)
         return super().update(*args, **touched)
 
 
-class Memory:
+class Memory(Alone):
     """A SearchMemory with all inputs fixed, under simulation."""
 
     def __init__(self) -> None:
-        self.memory = Noting()
-        self.system = SearchMemory(
-            memory=self.memory, width=WIDTH, height=HEIGHT
+        memory = Noting(TARGET_SIZE, FLOOR)
+        super().__init__(
+            SearchMemory(memory=memory, width=WIDTH, height=HEIGHT),
+            camera=CAMERA,
+            action=SearchAction(),
+            status=GripperStatus(),
         )
-        self.simulator = Simulator(self.system)
-        self.context = self.simulator.get_mutable_context()
-        self.fix("camera", CAMERA)
         self.see(BEFORE)
-        self.act(0, GripperStatus())
-
-    def fix(self, port: str, value: object) -> None:
-        self.system.GetInputPort(port).FixValue(
-            self.context, AbstractValue.Make(value)
-        )
 
     def see(self, seen: Look) -> None:
-        image = ImageDepth32F(WIDTH, HEIGHT)
-        image.mutable_data[:, :, 0] = seen.depth
-        self.fix("depth_image", image)
-        self.fix("target_mask", TargetMask(seen.target))
-        self.fix("instances", seen.instances)
+        self.fix(
+            depth_image=seen.depth,
+            target_mask=TargetMask(seen.target),
+            instances=seen.instances,
+        )
 
-    def act(self, number: int, status: Message, grasped: str = "pen") -> None:
-        grasp = Grasp(GraspKind.JAW, grasped) if number else Grasp()
-        self.fix("action", SearchAction(number, grasp))
-        self.fix("status", status)
-
-    def advance(self) -> None:
-        self.simulator.AdvanceTo(self.context.get_time() + 0.2)
+    def act(self, *status: Any) -> None:
+        """The gripper takes the pen."""
+        grasp = Grasp(GraspKind.JAW, "pen")
+        self.fix(action=SearchAction(1, grasp), status=GripperStatus(*status))
 
     def depth(self) -> np.ndarray:
-        port = self.system.GetOutputPort("depth_image")
-        return np.array(port.Eval(self.context).data[:, :, 0])
+        return np.array(self.output("depth_image").data[:, :, 0])
 
 
-def remembered(memory: TargetMemory, **touched: str) -> np.ndarray:
-    belief = memory.update(Belief(), BEFORE, CAMERA)
-    belief = memory.update(belief, AFTER, CAMERA, **touched)
-    return memory.recall(belief, CAMERA)
-
-
-def test_ports_are_named() -> None:
-    system = Memory().system
-    assert inputs_of(system) == [
-        "depth_image",
-        "target_mask",
-        "instances",
-        "camera",
-        "action",
-        "status",
-    ]
-    assert system.get_output_port().get_name() == "depth_image"
-    assert system.get_name() == "search_memory"
+def remembered(**touched: str) -> np.ndarray:
+    belief = MEMORY.update(Belief(), BEFORE, CAMERA)
+    belief = MEMORY.update(belief, AFTER, CAMERA, **touched)
+    return MEMORY.recall(belief, CAMERA)
 
 
 def test_at_first_nothing_is_remembered() -> None:
@@ -131,44 +101,30 @@ def test_at_first_nothing_is_remembered() -> None:
 def test_after_an_action_it_adds_what_it_remembers(
     outcome: Outcome, touched: dict[str, str]
 ) -> None:
+    """In a new context nothing is."""
     memory = Memory()
     memory.advance()
     memory.see(AFTER)
-    memory.act(1, GripperStatus(GripperMode.IDLE, 1, outcome))
-    expected = remembered(TargetMemory(TARGET_SIZE, FLOOR), **touched)
+    memory.act(IDLE, 1, outcome)
+    expected = remembered(**touched)
     assert (expected != AFTER.depth).any()
     for _ in range(2):  # before it stores the look, and after
         np.testing.assert_array_equal(memory.depth(), expected)
         memory.advance()
-    assert memory.memory.touched == [{"lifted": "", "slipped": ""}, touched]
+    assert Noting.touched == touched
+    memory.system.SetDefaultContext(memory.context)
+    np.testing.assert_array_equal(memory.depth(), AFTER.depth)
 
 
 @pytest.mark.parametrize(
-    "status",
-    [
-        GripperStatus(GripperMode.BUSY, 1),
-        GripperStatus(GripperMode.IDLE, 0),  # not taken up yet
-    ],
+    "status", [(BUSY, 1), (IDLE, 0)], ids=["busy", "not taken up yet"]
 )
-def test_it_looks_only_when_the_action_is_done(status: GripperStatus) -> None:
+def test_it_looks_only_when_the_action_is_done(status: tuple) -> None:
     memory = Memory()
     memory.advance()
-    memory.act(1, status)
+    memory.act(*status)
     memory.see(look([]))  # would make it forget
     memory.advance()
     memory.see(AFTER)
-    memory.act(1, GripperStatus(GripperMode.IDLE, 1, Outcome.LIFTED))
-    np.testing.assert_array_equal(
-        memory.depth(), remembered(memory.memory, lifted="pen")
-    )
-
-
-def test_a_new_search_begins_without_memory() -> None:
-    memory = Memory()
-    memory.advance()
-    memory.see(AFTER)
-    memory.act(1, GripperStatus(GripperMode.IDLE, 1, Outcome.LIFTED))
-    memory.advance()
-    assert (memory.depth() != AFTER.depth).any()
-    memory.system.SetDefaultContext(memory.context)
-    np.testing.assert_array_equal(memory.depth(), AFTER.depth)
+    memory.act(IDLE, 1, Outcome.LIFTED)
+    np.testing.assert_array_equal(memory.depth(), remembered(lifted="pen"))

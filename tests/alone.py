@@ -1,0 +1,43 @@
+"""One system of a diagram alone: fix its inputs, look at its outputs."""
+
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import System
+from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
+
+
+class Alone:
+    """A system under simulation, its abstract inputs fixed.
+
+    Attributes:
+        system: as given.
+        context: of the simulation.
+    """
+
+    def __init__(self, system: System, **inputs: Any) -> None:
+        self.system = system
+        self._simulator = Simulator(system)
+        self.context = self._simulator.get_mutable_context()
+        self.fix(**inputs)
+
+    def fix(self, **inputs: Any) -> None:
+        """Fixes inputs by their names; (H, W) arrays become images."""
+        for name, value in inputs.items():
+            if isinstance(value, np.ndarray):
+                floats = np.issubdtype(value.dtype, np.floating)
+                image = (ImageDepth32F if floats else ImageLabel16I)(
+                    *value.shape[::-1]
+                )
+                image.mutable_data[:, :, 0] = value
+                value = image
+            port = self.system.GetInputPort(name)
+            port.FixValue(self.context, AbstractValue.Make(value))
+
+    def advance(self, duration: float = 0.2) -> None:
+        self._simulator.AdvanceTo(self.context.get_time() + duration)
+
+    def output(self, name: str) -> Any:
+        return self.system.GetOutputPort(name).Eval(self.context)
