@@ -18,8 +18,10 @@ from tests.policy.blocks import (
 from xray_drake.messages import Grasp, OccupancyDistribution, RankedCandidate
 from xray_drake.policy.beyond.chance import chance
 from xray_drake.policy.beyond.grasp_aware import GraspAware
+from xray_drake.policy.beyond.lookahead import Lookahead
 from xray_drake.policy.ranking import (
     Planning,
+    Ranking,
     SearchView,
     largest,
     order,
@@ -162,8 +164,9 @@ def test_while_the_target_is_not_seen_another_ranking_decides() -> None:
     )
 
 
-def test_what_it_needs_is_named() -> None:
+@pytest.mark.parametrize("ranking", [GraspAware(), Lookahead()])
+def test_what_imagining_needs_is_named(ranking: Ranking) -> None:
     seen = view(ALL, planning(GOOD))
     for lacking in (replace(seen, outlook=None), replace(seen, plan=None)):
         with pytest.raises(ValueError, match="an outlook and a planner"):
-            GraspAware()(lacking, np.random.default_rng(0))
+            ranking(lacking, np.random.default_rng(0))

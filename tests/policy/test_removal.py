@@ -63,47 +63,26 @@ def test_it_is_what_a_slow_search_finds(seed: int) -> None:
         assert behind[place] in allowed
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1))
-def test_nothing_gets_higher(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    heights = rng.random((20, 30)).astype(np.float32) * 0.1
-    mask = rng.random((20, 30)) < 0.4
-    assert (surface_behind(heights, mask) <= heights).all()
+SLAB = Block("slab", 20, 20, 30, 40, 0.01)
+CUP = Block("cup", 30, 30, 8, 8, 0.06)
+LOW = Block("low", 20, 20, 10, 10, 0.02)
+TALL = Block("tall", 20, 30, 10, 10, 0.08)
 
 
-def test_what_lies_on_a_slab_leaves_the_slab() -> None:
-    slab = Block("slab", 20, 20, 30, 40, 0.01)
-    cup = Block("cup", 30, 30, 8, 8, 0.06)
-    seen = look([slab, cup])
-    depth, heights = Removal(seen.depth, overhead_camera()).without(cup.mask)
-    np.testing.assert_allclose(depth, look([slab]).depth, atol=1e-6)
+@pytest.mark.parametrize(
+    ("stays", "goes"),
+    [
+        pytest.param(SLAB, CUP, id="the slab goes on under the cup"),
+        pytest.param(TALL, LOW, id="what is higher does not go on under it"),
+        pytest.param(CUP, None, id="nothing goes"),
+    ],
+)
+def test_what_an_object_leaves(stays: Block, goes: Block | None) -> None:
+    seen = look([stays, goes] if goes else [stays])
+    mask = goes.mask if goes else np.zeros(SHAPE, bool)
+    depth, heights = Removal(seen.depth, overhead_camera()).without(mask)
+    np.testing.assert_allclose(depth, look([stays]).depth, atol=1e-6)
     np.testing.assert_allclose(heights, heights_of(depth), atol=1e-6)
-
-
-def test_what_lies_on_the_floor_leaves_the_floor() -> None:
-    """Also beside something higher, which does not go on under it."""
-    low = Block("low", 20, 20, 10, 10, 0.02)
-    tall = Block("tall", 20, 30, 10, 10, 0.08)
-    seen = look([low, tall])
-    depth, _ = Removal(seen.depth, overhead_camera()).without(low.mask)
-    np.testing.assert_allclose(depth, look([tall]).depth, atol=1e-6)
-
-
-def test_between_higher_things_it_lies_on_the_floor() -> None:
-    heights = np.full((9, 9), 0.08, np.float32)
-    mask = np.zeros((9, 9), bool)
-    mask[3:6, 3:6] = True
-    heights[mask] = 0.02
-    np.testing.assert_array_equal(surface_behind(heights, mask)[mask], 0.0)
-
-
-def test_a_blank_mask_removes_nothing() -> None:
-    seen = look([Block("cup", 5, 5, 5, 5)])
-    depth, _ = Removal(seen.depth, overhead_camera()).without(
-        np.zeros(SHAPE, bool)
-    )
-    np.testing.assert_array_equal(depth, seen.depth)
 
 
 @pytest.mark.parametrize("view", [{}, {"tilt": 10, "azimuth": 57, "roll": 8}])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.policy.blocks import SCALE, Block, look
@@ -17,13 +17,9 @@ def shifts(before: Look, after: Look, lifted: str = "") -> list[Shift]:
     )
 
 
-def test_where_nothing_moved_nothing_is_seen_to_move() -> None:
-    seen = look([CUP, Block("book", 20, 20, 30, 30, 0.01)])
-    assert shifts(seen, seen) == []
-
-
 @settings(deadline=None, max_examples=40)
 @given(st.integers(-35, 35), st.integers(-40, 40))
+@example(0, 0)
 def test_a_thing_that_slides_has_moved_by_its_way(
     down: int, right: int
 ) -> None:
