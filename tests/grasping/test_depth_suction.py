@@ -10,10 +10,7 @@ from tests.grasping.depth_scenes import (
     surface_of,
 )
 from tests.occupancy.scenes import CAMERAS
-from xray_drake.grasping.evidence.depth_suction import (
-    seal_on_depth,
-    seals_seen,
-)
+from xray_drake.grasping.evidence.depth_suction import seal_on_depth, seals_seen
 from xray_drake.grasping.evidence.sampling import seal_cups
 from xray_drake.grasping.judgement import Lip
 
@@ -83,9 +80,7 @@ def test_it_agrees_with_the_seal_on_the_mesh():
         seen = seal_on_depth(surface, cups, LIP).closed
         for grow, loose, says in ((0.003, 0.5, True), (-0.003, 1.5, False)):
             truth = seal_cups(
-                mesh,
-                cups,
-                Lip(0.015 + grow, 0.0025 * loose, 0.7),
+                mesh, cups, Lip(0.015 + grow, 0.0025 * loose, 0.7)
             ).closed
             agree.append(seen[truth == says] == says)
     agree = np.concatenate(agree)

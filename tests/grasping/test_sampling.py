@@ -30,8 +30,7 @@ def outward_normal_of_box(points, extents):
 
 @settings(max_examples=15, deadline=None)
 @given(
-    extents=st.tuples(*[st.floats(0.004, 0.1)] * 3),
-    seed=st.integers(0, 1000),
+    extents=st.tuples(*[st.floats(0.004, 0.1)] * 3), seed=st.integers(0, 1000)
 )
 def test_every_pair_on_a_box_is_antipodal(extents, seed):
     pairs, _ = sample_antipodal(

@@ -1,23 +1,19 @@
 """What the gripper's tests share: systems with fixed inputs, and objects."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
 from xray_drake.gripper.suction_cup import SuctionCup
-from xray_drake.gripper.yumi import YumiGripper, add_gripper
-from xray_drake.messages import GripperMode, GripperStatus, SearchAction
+from xray_drake.gripper.yumi import add_gripper
+from xray_drake.messages import GripperMode
 from xray_drake.scene.cameras import add_camera, nominal_camera
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.scene.plant import (
     TOTE_POSITION,
     TOTE_SIZE,
@@ -32,28 +28,26 @@ from xray_drake.scene.shapes import box
 STEP = 0.005
 
 
-def block(
-    size: tuple[float, float, float], mass: float, name: str = "brick"
-) -> ObjectModel:
+def block(size, mass, name="brick"):
     """A box of this size, m, and mass, kg."""
     return object_from_pieces(
         name, list(box(*size).surfaces), density=mass / float(np.prod(size))
     )
 
 
-def downwards(*p_WG: float) -> np.ndarray:
+def downwards(*p_WG):
     """A pose at a point whose z axis points down."""
     X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
     X_WG[:3, 3] = p_WG
     return X_WG
 
 
-def in_tote(p_W: np.ndarray) -> bool:
+def in_tote(p_W):
     away = np.abs(p_W[:2] - TOTE_POSITION[:2])
     return bool((away < TOTE_SIZE[0] / 2).all() and 0 < p_W[2] < TOTE_SIZE[2])
 
 
-def make_gripper(carrier: str = "wrist") -> YumiGripper:
+def make_gripper(carrier="wrist"):
     """The gripper in a plant of its own."""
     plant = MultibodyPlant(0.005)
     gripper = add_gripper(plant, carrier=carrier)
@@ -64,23 +58,23 @@ def make_gripper(carrier: str = "wrist") -> YumiGripper:
 class Alone:
     """A system with fixed inputs."""
 
-    def __init__(self, system: LeafSystem, **inputs: Any) -> None:
+    def __init__(self, system, **inputs):
         self.system = system
         self.simulator = Simulator(system)
         self.context = self.simulator.get_mutable_context()
         for port, value in inputs.items():
             self.fix(port, value)
 
-    def fix(self, port: str, value: Any) -> None:
+    def fix(self, port, value):
         plain = isinstance(value, np.ndarray)
         self.system.GetInputPort(port).FixValue(
             self.context, value if plain else AbstractValue.Make(value)
         )
 
-    def get(self, port: str) -> Any:
+    def get(self, port):
         return self.system.GetOutputPort(port).Eval(self.context)
 
-    def advance_to(self, time: float) -> Any:
+    def advance_to(self, time):
         """Advances, and handles the events that are due at ``time``.
 
         Returns:
@@ -91,9 +85,7 @@ class Alone:
         return self.system.get_output_port(0).Eval(self.context)
 
 
-def connect_body(
-    builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem
-) -> None:
+def connect_body(builder, plant, system):
     """Connects what looks at bodies and pulls at them to its plant."""
     for name in ("body_poses", "body_spatial_velocities"):
         builder.Connect(plant.GetOutputPort(name), system.GetInputPort(name))
@@ -109,9 +101,7 @@ class TransferCell:
     Subclasses add a gripper to ``builder``, and then :meth:`build`.
     """
 
-    def __init__(
-        self, poses: Mapping[str, np.ndarray], *models: ObjectModel
-    ) -> None:
+    def __init__(self, poses, *models):
         self.builder = DiagramBuilder()
         self.plant, self.scene_graph = add_plant(
             self.builder, default_plant_config()
@@ -123,33 +113,33 @@ class TransferCell:
         self.items = {item.name: item for item in items}
         self.bodies = {item.name: int(item.body.index()) for item in items}
 
-    def build(self, gripper: LeafSystem) -> None:
+    def build(self, gripper):
         self.gripper = gripper
         self.builder.ExportInput(gripper.GetInputPort("action"), "action")
         self.diagram = self.builder.Build()
         self.simulator = Simulator(self.diagram)
-        self.context: Context = self.simulator.get_mutable_context()
+        self.context = self.simulator.get_mutable_context()
 
-    def command(self, action: SearchAction) -> None:
+    def command(self, action):
         self.diagram.GetInputPort("action").FixValue(
             self.context, AbstractValue.Make(action)
         )
 
-    def pose(self, name: str) -> np.ndarray:
+    def pose(self, name):
         context = self.plant.GetMyContextFromRoot(self.context)
         return self.items[name].body.EvalPoseInWorld(context).GetAsMatrix4()
 
     @property
-    def status(self) -> GripperStatus:
+    def status(self):
         return self.gripper.GetOutputPort("status").Eval(
             self.gripper.GetMyContextFromRoot(self.context)
         )
 
-    def advance(self, time: float) -> GripperStatus:
+    def advance(self, time):
         self.simulator.AdvanceTo(self.context.get_time() + time)
         return self.status
 
-    def run(self, action: SearchAction, limit: float = 8.0) -> np.ndarray:
+    def run(self, action, limit=8.0):
         """Runs an action to its end; returns the object's way, (n, 3)."""
         self.command(action)
         way = []
@@ -166,7 +156,7 @@ class TransferCell:
 class ContactCell(TransferCell):
     """Gripper, cup and controller on a plant with one object."""
 
-    def __init__(self, model: ObjectModel, carrier: str = "wrist") -> None:
+    def __init__(self, model, carrier="wrist"):
         X_WO = np.eye(4)
         X_WO[:3, 3] = 0.05, 0.02, model.extents[2] / 2
         super().__init__({model.name: X_WO}, model)
@@ -215,13 +205,13 @@ class DrivenCell:
 
     def __init__(
         self,
-        *models: ObjectModel,
-        cup: bool = False,
-        camera: bool = False,
-        carrier: str = "wrist",
-        time_step: float = STEP,
-        sampled_ports: bool = True,
-    ) -> None:
+        *models,
+        cup=False,
+        camera=False,
+        carrier="wrist",
+        time_step=STEP,
+        sampled_ports=True,
+    ):
         builder = DiagramBuilder()
         config = default_plant_config()
         config.time_step = time_step
@@ -268,19 +258,19 @@ class DrivenCell:
         self.gripper = gripper
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
-        self.context: Context = self.simulator.get_mutable_context()
+        self.context = self.simulator.get_mutable_context()
         self.want(gripper.carrier.home)
         self.fix("fingers", np.zeros(4))
 
-    def fix(self, port: str, value: Any) -> None:
+    def fix(self, port, value):
         self.diagram.GetInputPort(port).FixValue(self.context, value)
 
-    def want(self, q: np.ndarray, v: np.ndarray | None = None) -> None:
+    def want(self, q, v=None):
         """Sets the wrist's desired state."""
         self.q = q
         self.fix("wrist", np.r_[q, np.zeros(len(q)) if v is None else v])
 
-    def at(self, X_WG: np.ndarray, X_BG: np.ndarray | None = None) -> None:
+    def at(self, X_WG, X_BG=None):
         """Puts a frame of the gripper, by default the jaw, at a pose."""
         gripper = self.gripper
         X_GB = np.linalg.inv(gripper.X_BJ if X_BG is None else X_BG)
@@ -292,10 +282,10 @@ class DrivenCell:
             self.q,
         )
 
-    def advance(self, time: float) -> None:
+    def advance(self, time):
         self.simulator.AdvanceTo(self.context.get_time() + time)
 
-    def move(self, way: np.ndarray, duration: float) -> None:
+    def move(self, way, duration):
         """Moves the wrist's joints, smoothly, and waits a moment."""
         start, begin = self.q, self.context.get_time()
         while (elapsed := self.context.get_time() - begin) < duration:
@@ -307,13 +297,13 @@ class DrivenCell:
         self.advance(0.2)
 
     @property
-    def plant_context(self) -> Context:
+    def plant_context(self):
         return self.plant.GetMyContextFromRoot(self.context)
 
-    def positions(self, instance: ModelInstanceIndex) -> np.ndarray:
+    def positions(self, instance):
         return self.plant.GetPositions(self.plant_context, instance)
 
-    def height(self, name: str) -> float:
+    def height(self, name):
         body = self.items[name].body
         pose = self.plant.EvalBodyPoseInWorld(self.plant_context, body)
         return float(pose.translation()[2])

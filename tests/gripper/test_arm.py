@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.gripper.cells import Alone, ContactCell, in_tote, make_gripper
+from tests.gripper.cells import ContactCell, in_tote, make_gripper
 from tests.gripper.test_contact import CLOSE, WHOLE_WAY, Script
 from tests.gripper.test_contact import take as take_brick
 from tests.gripper.test_controller import alone, take
@@ -13,27 +13,24 @@ from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
-from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import GraspKind, Outcome
-from xray_drake.scene.plant import (
-    TOTE_POSITION,
-)
+from xray_drake.scene.plant import TOTE_POSITION
 from xray_drake.scene.targets import target_model
 
 LIFT = 0.2
 
 
 @pytest.fixture(scope="module")
-def gripper() -> YumiGripper:
+def gripper():
     return make_gripper("arm")
 
 
 @pytest.fixture(scope="module")
-def arm() -> Arm:
+def arm():
     return Arm()
 
 
-def down(x: float, y: float, z: float, yaw: float) -> np.ndarray:
+def down(x, y, z, yaw):
     """The tool's pose, pointing down."""
     X_WT = np.eye(4)
     X_WT[:3, :3] = Rotation.from_euler("ZX", [yaw, np.pi]).as_matrix()
@@ -41,7 +38,7 @@ def down(x: float, y: float, z: float, yaw: float) -> np.ndarray:
     return X_WT
 
 
-def grasps(number: int) -> list[np.ndarray]:
+def grasps(number):
     """Poses of the tool over the middle of the bin."""
     rng = np.random.default_rng(3)
     return [
@@ -50,16 +47,14 @@ def grasps(number: int) -> list[np.ndarray]:
     ]
 
 
-def higher(X_WT: np.ndarray, by: float = LIFT) -> np.ndarray:
+def higher(X_WT, by=LIFT):
     X_WT = np.array(X_WT)
     X_WT[2, 3] += by
     return X_WT
 
 
 @pytest.mark.parametrize("X_WT", grasps(6))
-def test_joints_give_the_pose_they_are_asked_for(
-    arm: Arm, X_WT: np.ndarray
-) -> None:
+def test_joints_give_the_pose_they_are_asked_for(arm, X_WT):
     q = arm.along([X_WT], near=arm.home)[0]
     np.testing.assert_allclose(arm.pose(q), X_WT, atol=1e-6)
     assert np.all((arm.limits.lower <= q) & (q <= arm.limits.upper))
@@ -67,7 +62,7 @@ def test_joints_give_the_pose_they_are_asked_for(
 
 
 @pytest.mark.parametrize("X_WT", grasps(4))
-def test_it_lifts_straight_up(arm: Arm, X_WT: np.ndarray) -> None:
+def test_it_lifts_straight_up(arm, X_WT):
     low, high = arm.along([X_WT, higher(X_WT)], near=arm.home)
     np.testing.assert_allclose(arm.pose(high), higher(X_WT), atol=1e-6)
     path = arm.path(low, [Leg(high, 0.3)], 2.0)
@@ -82,7 +77,7 @@ def test_it_lifts_straight_up(arm: Arm, X_WT: np.ndarray) -> None:
     assert np.all(np.diff(heights) > -1e-6)
 
 
-def test_paths_keep_the_limits_and_do_not_jump(arm: Arm) -> None:
+def test_paths_keep_the_limits_and_do_not_jump(arm):
     low, high = arm.along([grasps(1)[0], higher(grasps(1)[0])], near=arm.home)
     legs = [
         Leg(high, 0.8, free=True),
@@ -111,7 +106,7 @@ def test_paths_keep_the_limits_and_do_not_jump(arm: Arm) -> None:
     assert all(map(arm.cell.is_clear, q[::10]))
 
 
-def test_it_carries_level_and_round_its_base(arm: Arm) -> None:
+def test_it_carries_level_and_round_its_base(arm):
     _, high = arm.along([grasps(1)[0], higher(grasps(1)[0])], near=arm.home)
     place = np.array(TOTE_POSITION[:2])
     there = arm.over(high, np.array([0, 0, 0.1142]), place, lowest=0.15)
@@ -124,7 +119,7 @@ def test_it_carries_level_and_round_its_base(arm: Arm) -> None:
         assert np.linalg.norm(X[:2, 3] - YUMI_ARM.X_WA[:2, 3]) > 0.1
 
 
-def test_out_of_reach_is_said_in_a_line(arm: Arm) -> None:
+def test_out_of_reach_is_said_in_a_line(arm):
     with pytest.raises(ReachError, match=r"^out of the arm's reach: tool at"):
         arm.along([down(-0.6, 0.0, 0.2, 0.0)], near=arm.home)
     low = grasps(1)[0]
@@ -136,13 +131,13 @@ def test_out_of_reach_is_said_in_a_line(arm: Arm) -> None:
         )
 
 
-def test_it_goes_as_high_as_it_can(arm: Arm) -> None:
+def test_it_goes_as_high_as_it_can(arm):
     q = arm.at_height(arm.home, 0.25)
     assert arm.pose(q)[2, 3] == pytest.approx(0.25)
     assert arm.pose(arm.at_height(q, 2.0))[2, 3] < 1.5
 
 
-def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
+def test_force_is_without_what_accelerates_the_arm(arm):
     q = arm.along(grasps(1), near=arm.home)[0]
     press = np.array([0.0, 0.0, -5.0])
     torque = arm.cell.jacobian(q)[3:].T @ press
@@ -154,16 +149,14 @@ def test_force_is_without_what_accelerates_the_arm(arm: Arm) -> None:
     np.testing.assert_allclose(arm.force(tracking), press, atol=1e-6)
 
 
-def test_two_contexts_of_one_controller_take_turns(
-    gripper: YumiGripper,
-) -> None:
+def test_two_contexts_of_one_controller_take_turns(gripper):
     """Their ways are found with one model of the arm."""
     actions = [
         take(GraspKind.JAW, "brick", (x, y, 0.02), 0.02)
         for x, y in ((0.05, 0.02), (-0.05, -0.04))
     ]
 
-    def desired(controller: Alone, time: float) -> np.ndarray:
+    def desired(controller, time):
         controller.simulator.AdvanceTo(time)
         return np.array(controller.get("carrier_desired_state"))
 
@@ -179,7 +172,7 @@ def test_two_contexts_of_one_controller_take_turns(
     assert not np.array_equal(singly[0], singly[1])
 
 
-def test_a_grasp_from_start_to_end(gripper: YumiGripper) -> None:
+def test_a_grasp_from_start_to_end(gripper):
     script = Script(gripper)
     status = script.run(take_brick())
     assert script.stages == WHOLE_WAY
@@ -192,7 +185,7 @@ def test_a_grasp_from_start_to_end(gripper: YumiGripper) -> None:
     )
 
 
-def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:
+def test_a_grasp_out_of_reach_is_not_tried(gripper):
     script = Script(gripper)
     status = script.run(take_brick(z=-0.4))
     assert status.outcome is Outcome.FAILED
@@ -200,7 +193,7 @@ def test_a_grasp_out_of_reach_is_not_tried(gripper: YumiGripper) -> None:
     assert len(script.stages) == 1
 
 
-def test_by_contact_it_brings_an_object_to_the_tote() -> None:
+def test_by_contact_it_brings_an_object_to_the_tote():
     model = target_model("box_2to1")
     cell = ContactCell(model, carrier="arm")
     action = take(GraspKind.JAW, model.name, (0.05, 0.02, 0.0035), 0.0212)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from tests.gripper.cells import downwards, make_gripper
 from xray_drake.gripper.actuation.contact import (
     ContactActuation,
-    ContactState,
     ExecutionConfig,
     Measured,
     Step,
@@ -18,12 +16,10 @@ from xray_drake.gripper.actuation.contact import (
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.transfer import Phase, Transfer
-from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import (
     Grasp,
     GraspKind,
     GripperMode,
-    GripperStatus,
     Outcome,
     SearchAction,
 )
@@ -50,13 +46,11 @@ WHOLE_WAY = [
 
 
 @pytest.fixture(scope="module")
-def gripper() -> YumiGripper:
+def gripper():
     return make_gripper()
 
 
-def take(
-    kind: GraspKind = GraspKind.JAW, number: int = 1, z: float = 0.02
-) -> SearchAction:
+def take(kind=GraspKind.JAW, number=1, z=0.02):
     X_WG = downwards(0.05, -0.03, z)
     width = WIDTH if kind is GraspKind.JAW else 0.0
     return SearchAction(
@@ -64,7 +58,7 @@ def take(
     )
 
 
-def stage(state: ContactState) -> Phase | Step:
+def stage(state):
     """The phase, or the step of the grasp."""
     return state.step if state.phase is Phase.GRASP else state.phase
 
@@ -77,9 +71,7 @@ class Script:
     push by the flange's height, too.
     """
 
-    def __init__(
-        self, gripper: YumiGripper, config: ExecutionConfig = CONFIG
-    ) -> None:
+    def __init__(self, gripper, config=CONFIG):
         self.gripper = gripper
         actuation = ContactActuation(gripper, config, period=PERIOD)
         self.transfer = Transfer(actuation)
@@ -91,11 +83,9 @@ class Script:
             lambda at, t, z: np.zeros(3)
         )
         self.why = ""
-        self.way: list[
-            tuple[float, ContactState, GripperStatus, np.ndarray]
-        ] = []
+        self.way = []
 
-    def step(self, action: SearchAction) -> None:
+    def step(self, action):
         self.time += PERIOD
         before, at = self.state, stage(self.state)
         since = self.time - before.since
@@ -119,7 +109,7 @@ class Script:
         status = self.transfer.status(self.state)
         self.way.append((self.time, self.state, status, joints))
 
-    def run(self, action: SearchAction) -> GripperStatus:
+    def run(self, action):
         """Runs an action to its end."""
         self.way.clear()
         while True:
@@ -131,17 +121,17 @@ class Script:
             assert self.time < 100.0
 
     @property
-    def stages(self) -> list[Phase | Step]:
-        found: list[Phase | Step] = []
+    def stages(self):
+        found = []
         for _, state, _, _ in self.way:
             if not found or found[-1] is not stage(state):
                 found.append(stage(state))
         return found
 
-    def states(self, at: Phase | Step) -> list[ContactState]:
+    def states(self, at):
         return [state for _, state, _, _ in self.way if stage(state) is at]
 
-    def tool(self, at: Phase | Step) -> np.ndarray:
+    def tool(self, at):
         """The (4, 4) pose of the grasp frame when a stage ended."""
         *_, (_, state, _, joints) = (
             entry for entry in self.way if stage(entry[1]) is at
@@ -154,7 +144,7 @@ class Script:
         return self.gripper.carrier.pose(joints) @ X_BG
 
 
-def test_nothing_happens_without_a_command(gripper: YumiGripper) -> None:
+def test_nothing_happens_without_a_command(gripper):
     script = Script(gripper)
     for _ in range(20):
         script.step(SearchAction())
@@ -163,7 +153,7 @@ def test_nothing_happens_without_a_command(gripper: YumiGripper) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(gripper: YumiGripper) -> Script:
+def whole(gripper):
     """A jaw grasp from start to end."""
     script = Script(gripper)
     status = script.run(take())
@@ -171,7 +161,7 @@ def whole(gripper: YumiGripper) -> Script:
     return script
 
 
-def test_a_jaw_grasp_from_start_to_end(whole: Script) -> None:
+def test_a_jaw_grasp_from_start_to_end(whole):
     assert whole.stages == WHOLE_WAY
     assert whole.time < 15.0
     lowest = np.array(take().grasp.X_WG)
@@ -186,7 +176,7 @@ def test_a_jaw_grasp_from_start_to_end(whole: Script) -> None:
     )
 
 
-def test_a_suction_grasp_from_start_to_end(gripper: YumiGripper) -> None:
+def test_a_suction_grasp_from_start_to_end(gripper):
     script = Script(gripper)
     script.width = lambda at, t: 0.0
     script.vacuum = lambda at, t: {
@@ -202,7 +192,7 @@ def test_a_suction_grasp_from_start_to_end(gripper: YumiGripper) -> None:
     assert script.tool(CLOSE)[2, 3] > action.grasp.X_WG[2, 3]
 
 
-def test_the_wrist_goes_smoothly_and_within_its_limits(whole: Script) -> None:
+def test_the_wrist_goes_smoothly_and_within_its_limits(whole):
     q = np.array([joints for *_, joints in whole.way])
     v = np.diff(q, axis=0) / PERIOD
     a = np.diff(v, axis=0) / PERIOD
@@ -212,7 +202,7 @@ def test_the_wrist_goes_smoothly_and_within_its_limits(whole: Script) -> None:
     assert np.abs(a[:, :3]).max() <= 1.5 * CONFIG.acceleration
 
 
-def test_the_fingers_open_in_time_and_not_too_fast(whole: Script) -> None:
+def test_the_fingers_open_in_time_and_not_too_fast(whole):
     fingers = np.array([state.finger for _, state, _, _ in whole.way])
     assert np.abs(np.diff(fingers)).max() <= 0.025 * PERIOD + 1e-9
     descent = [state.finger for state in whole.states(DESCEND)]
@@ -224,7 +214,7 @@ def test_the_fingers_open_in_time_and_not_too_fast(whole: Script) -> None:
     assert fingers[-1] == 0.0
 
 
-def test_what_the_status_says(whole: Script) -> None:
+def test_what_the_status_says(whole):
     said = []
     for _, _, status, _ in whole.way:
         now = (status.stirring, status.settling, status.held, status.loose)
@@ -243,7 +233,7 @@ def test_what_the_status_says(whole: Script) -> None:
     assert all(status.outcome is Outcome.NONE for status in busy)
 
 
-def failure(script: Script, action: SearchAction) -> GripperStatus:
+def failure(script, action):
     """Runs an action that fails; the gripper must come home without a jump."""
     status = script.run(action)
     assert script.stages[-4:] == [
@@ -264,7 +254,7 @@ def failure(script: Script, action: SearchAction) -> GripperStatus:
     return status
 
 
-def push(at: Phase | Step, force: float, after: float = 0.0) -> Any:
+def push(at, force, after=0.0):
     """A vertical force on the wrist, N, from a time in a stage on."""
     return lambda now, t, z: np.array([0, 0, force * (now is at and t > after)])
 
@@ -330,13 +320,7 @@ FAILURES = [
 
 
 @pytest.mark.parametrize(("kind", "script", "outcome", "reason"), FAILURES)
-def test_a_failure_is_noticed(
-    gripper: YumiGripper,
-    kind: GraspKind,
-    script: dict[str, Any],
-    outcome: Outcome,
-    reason: str,
-) -> None:
+def test_a_failure_is_noticed(gripper, kind, script, outcome, reason):
     run = Script(gripper)
     vars(run).update(script)
     status = failure(run, take(kind))
@@ -347,7 +331,7 @@ def test_a_failure_is_noticed(
         assert reached == pytest.approx(0.02 - CONFIG.cup_overtravel)
 
 
-def test_touching_a_little_early_is_no_failure(gripper: YumiGripper) -> None:
+def test_touching_a_little_early_is_no_failure(gripper):
     script = Script(gripper)
     touching = 0.02 + 0.1142 + 0.004
     script.push = lambda at, t, z: np.array(
@@ -358,37 +342,37 @@ def test_touching_a_little_early_is_no_failure(gripper: YumiGripper) -> None:
     assert early == pytest.approx(0.004, abs=0.001)
 
 
-def test_what_slips_over_the_tote_has_arrived(gripper: YumiGripper) -> None:
+def test_what_slips_over_the_tote_has_arrived(gripper):
     script = Script(gripper)
     script.width = lambda at, t: 0.0 if at is Phase.LOWER and t > 0.2 else WIDTH
     assert script.run(take()).outcome is Outcome.LIFTED
 
 
-def impatient(whole: Script, phase: Phase) -> Script:
+def impatient(whole, phase):
     """A script whose time for an action is over in the midst of a phase."""
     times = [t for t, state, *_ in whole.way if state.phase is phase]
     give_up = float(np.mean(times)) - whole.state.began
     return Script(whole.gripper, replace(CONFIG, give_up=give_up))
 
 
-def test_trouble_over_the_tote_is_no_success(whole: Script) -> None:
+def test_trouble_over_the_tote_is_no_success(whole):
     status = failure(impatient(whole, Phase.LOWER), take())
     assert status.outcome is Outcome.SLIPPED
     assert status.reason.startswith("gave up after")
 
 
-def test_what_has_been_set_down_stays_so(whole: Script) -> None:
+def test_what_has_been_set_down_stays_so(whole):
     """Though the time is over before the jaw is open."""
     status = impatient(whole, Phase.RELEASE).run(take())
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
 
 
-def test_it_gives_up_within_a_time(gripper: YumiGripper) -> None:
+def test_it_gives_up_within_a_time(gripper):
     script = Script(gripper, replace(CONFIG, give_up=1.5))
     assert failure(script, take()).reason == "gave up after 1.5 s"
 
 
-def test_lowering_stops_at_what_is_below(gripper: YumiGripper) -> None:
+def test_lowering_stops_at_what_is_below(gripper):
     script = Script(gripper)
     script.push = lambda at, t, z: np.array(
         [0, 0, 5.0 * (at is Phase.LOWER and t > 0.7)]
@@ -401,11 +385,7 @@ def test_lowering_stops_at_what_is_below(gripper: YumiGripper) -> None:
     ("action", "outcome", "reason"),
     [
         (take(z=-0.3), Outcome.FAILED, "out of the wrist's reach: z"),
-        (
-            SearchAction(number=1),
-            Outcome.NO_GRASP,
-            "no candidate has a grasp",
-        ),
+        (SearchAction(number=1), Outcome.NO_GRASP, "no candidate has a grasp"),
         (
             SearchAction(number=1, invalid=True),
             Outcome.NO_GRASP,
@@ -413,16 +393,14 @@ def test_lowering_stops_at_what_is_below(gripper: YumiGripper) -> None:
         ),
     ],
 )
-def test_what_is_not_tried(
-    gripper: YumiGripper, action: SearchAction, outcome: Outcome, reason: str
-) -> None:
+def test_what_is_not_tried(gripper, action, outcome, reason):
     script = Script(gripper)
     status = script.run(action)
     assert (status.outcome, status.reason) == (outcome, reason)
     assert script.stages == [Phase.IDLE]
 
 
-def test_the_next_one_goes_to_another_place(gripper: YumiGripper) -> None:
+def test_the_next_one_goes_to_another_place(gripper):
     script = Script(gripper)
     script.run(take())
     first = script.tool(Phase.LOWER)

@@ -14,7 +14,6 @@ from tests.gripper.cells import (
 from tests.ports import inputs_of, outputs_of
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.suction import CupState
-from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import (
     Grasp,
     GraspKind,
@@ -22,16 +21,13 @@ from xray_drake.messages import (
     Outcome,
     SearchAction,
 )
-from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import BIN_WALL_HEIGHT
 from xray_drake.scene.targets import target_model
 
 BRICK = block((0.08, 0.04, 0.03), 0.1)
 
 
-def take(
-    kind: GraspKind, name: str, p_WG: tuple[float, float, float], width: float
-) -> SearchAction:
+def take(kind, name, p_WG, width):
     X_WG = downwards(*p_WG)
     return SearchAction(
         number=1, grasp=Grasp(kind, name, X_WG, X_WG, width=width)
@@ -42,11 +38,11 @@ TAKE = take(GraspKind.JAW, "brick", (0.0, 0.0, 0.02), 0.02)
 
 
 @pytest.fixture(scope="module")
-def gripper() -> YumiGripper:
+def gripper():
     return make_gripper()
 
 
-def alone(gripper: YumiGripper, action: SearchAction) -> Alone:
+def alone(gripper, action):
     """The controller of a gripper that does not move."""
     home = gripper.carrier.home
     return Alone(
@@ -58,7 +54,7 @@ def alone(gripper: YumiGripper, action: SearchAction) -> Alone:
     )
 
 
-def test_ports_are_named(gripper: YumiGripper) -> None:
+def test_ports_are_named(gripper):
     system = GripperController(gripper=gripper)
     assert inputs_of(system) == [
         "action",
@@ -78,7 +74,7 @@ def test_ports_are_named(gripper: YumiGripper) -> None:
     assert not system.HasAnyDirectFeedthrough()
 
 
-def test_idle_it_stays_at_home(gripper: YumiGripper) -> None:
+def test_idle_it_stays_at_home(gripper):
     controller = alone(gripper, SearchAction())
     status = controller.advance_to(0.2)
     assert (status.mode, status.number) == (GripperMode.IDLE, 0)
@@ -91,7 +87,7 @@ def test_idle_it_stays_at_home(gripper: YumiGripper) -> None:
     np.testing.assert_array_equal(controller.get("suction"), [0])
 
 
-def test_a_command_is_taken_up_once(gripper: YumiGripper) -> None:
+def test_a_command_is_taken_up_once(gripper):
     controller = alone(gripper, TAKE)
     assert controller.get("status").mode is GripperMode.IDLE
     status = controller.advance_to(0.02)
@@ -104,7 +100,7 @@ def test_a_command_is_taken_up_once(gripper: YumiGripper) -> None:
     assert 0.003 < fingers[0] == fingers[1]
 
 
-def test_a_wrist_that_does_not_follow_is_told_of(gripper: YumiGripper) -> None:
+def test_a_wrist_that_does_not_follow_is_told_of(gripper):
     controller = alone(gripper, TAKE)
     time = 0.1
     while (status := controller.advance_to(time)).mode is GripperMode.BUSY:
@@ -121,9 +117,7 @@ def test_a_wrist_that_does_not_follow_is_told_of(gripper: YumiGripper) -> None:
         (BRICK, GraspKind.SUCTION, 0.03, 0.0),
     ],
 )
-def test_by_contact_it_brings_an_object_to_the_tote(
-    model: ObjectModel, kind: GraspKind, z: float, width: float
-) -> None:
+def test_by_contact_it_brings_an_object_to_the_tote(model, kind, z, width):
     cell = ContactCell(model)
     action = take(kind, model.name, (0.05, 0.02, z), width)
     way = cell.run(action, limit=15.0)
@@ -135,7 +129,7 @@ def test_by_contact_it_brings_an_object_to_the_tote(
     assert way[over, 2].min() > BIN_WALL_HEIGHT + 0.05
 
 
-def test_by_contact_a_miss_is_felt() -> None:
+def test_by_contact_a_miss_is_felt():
     cell = ContactCell(BRICK)
     start = cell.pose("brick")[:3, 3]
     action = take(GraspKind.JAW, "brick", (-0.1, -0.05, 0.02), 0.02)

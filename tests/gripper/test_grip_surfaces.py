@@ -4,11 +4,11 @@ from pydrake.math import RigidTransform
 
 from tests.gripper.cells import DrivenCell, downwards
 from xray_drake.gripper.grip_surfaces import GRIP, PAD
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.scene.shapes import box
 
 
-def step(name: str) -> ObjectModel:
+def step(name):
     pieces = [
         *box(0.04, 0.03, 0.02).surfaces,
         *box(0.02, 0.03, 0.02, (0.0, 0.0, 0.02)).surfaces,
@@ -17,9 +17,7 @@ def step(name: str) -> ObjectModel:
 
 
 class Scene(DrivenCell):
-    def touching(
-        self, jaw: tuple[float, float, float], a: float, b: float
-    ) -> set[frozenset[str]]:
+    def touching(self, jaw, a, b):
         """Which kinds of geometry may meet, with both objects on the floor.
 
         Args:
@@ -37,7 +35,7 @@ class Scene(DrivenCell):
         query = self.plant.get_geometry_query_input_port().Eval(context)
         inspector = self.scene_graph.model_inspector()
 
-        def kind(geometry: object) -> str:
+        def kind(geometry):
             name = inspector.GetName(geometry).split("::")[-1]
             return name.rstrip("_0123456789").split("_")[0]
 
@@ -48,13 +46,11 @@ class Scene(DrivenCell):
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return Scene(step("a"), step("b"))
 
 
-def test_pads_meet_the_hard_surfaces_and_nothing_else_does(
-    scene: Scene,
-) -> None:
+def test_pads_meet_the_hard_surfaces_and_nothing_else_does(scene):
     # The jaw about the first object, a finger well into it, and the second
     # into it and the floor.
     touching = scene.touching((0.0, 0.005, 0.01), 0.0, 0.03)
@@ -69,12 +65,12 @@ def test_pads_meet_the_hard_surfaces_and_nothing_else_does(
     assert frozenset({"piece", "finger"}) in touching
 
 
-def test_pads_still_meet_the_floor(scene: Scene) -> None:
+def test_pads_still_meet_the_floor(scene):
     touching = scene.touching((0.1, 0.1, 0.001), -0.1, -0.2)
     assert frozenset({PAD, "floor"}) in touching
 
 
-def test_each_piece_has_a_hard_copy(scene: Scene) -> None:
+def test_each_piece_has_a_hard_copy(scene):
     inspector = scene.scene_graph.model_inspector()
     for item in scene.items.values():
         names = [

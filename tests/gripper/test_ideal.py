@@ -1,8 +1,5 @@
 """The ideal gripper alone with fixed inputs, then on a plant of its own."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
@@ -29,17 +26,15 @@ from xray_drake.messages import (
     Outcome,
     SearchAction,
 )
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
-from xray_drake.scene.plant import (
-    BIN_WALL_HEIGHT,
-)
+from xray_drake.scene.object_model import object_from_pieces
+from xray_drake.scene.plant import BIN_WALL_HEIGHT
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
 
 TARGET = "box_2to1"
 
 
-def brick() -> ObjectModel:
+def brick():
     """40 × 30 × 20 mm, 19 g, its body origin 5 mm beside its centre."""
     return object_from_pieces(
         "brick",
@@ -49,7 +44,7 @@ def brick() -> ObjectModel:
     )
 
 
-def at(x: float, y: float, z: float = 0.01) -> np.ndarray:
+def at(x, y, z=0.01):
     X_WO = np.eye(4)
     X_WO[:3, 3] = x, y, z
     return X_WO
@@ -59,9 +54,7 @@ BRICK, POSES = brick(), {"brick": at(0.05, 0.02), TARGET: at(-0.1, 0, 0.0025)}
 MODELS = {"brick": BRICK, TARGET: target_model(TARGET)}
 
 
-def take(
-    name: str, number: int = 1, X_WO: np.ndarray | None = None
-) -> SearchAction:
+def take(name, number=1, X_WO=None):
     """An action: grasp an object from above at its body origin."""
     X_WO = POSES["brick"] if X_WO is None else X_WO
     X_OG = downwards(0.0, 0.0, 0.0)
@@ -72,25 +65,18 @@ def take(
 class Judge:
     """Gives a verdict and notes what it is asked."""
 
-    def __init__(self, quality: float = 0.8, reason: str = "") -> None:
+    def __init__(self, quality=0.8, reason=""):
         self.quality, self.reason = quality, reason
-        self.asked: list[tuple[str, np.ndarray, float]] = []
-        self.poses: Mapping[str, np.ndarray] = {}
+        self.asked = []
+        self.poses = {}
 
-    def judge(
-        self,
-        grasp: Grasp,
-        poses: Mapping[str, np.ndarray],
-        *,
-        X_WG_perturbed: np.ndarray,
-        friction: float,
-    ) -> JudgedGrasp:
+    def judge(self, grasp, poses, *, X_WG_perturbed, friction):
         self.asked.append((grasp.object, X_WG_perturbed, friction))
         self.poses = poses
         return JudgedGrasp(self.quality, self.reason, X_WG_perturbed)
 
 
-def make(judge: Judge, bodies: Mapping[str, int], **more: Any) -> Any:
+def make(judge, bodies, **more):
     return QuasiStaticGripper(
         judge=judge,
         objects=[MODELS[name] for name in bodies],
@@ -102,12 +88,12 @@ def make(judge: Judge, bodies: Mapping[str, int], **more: Any) -> Any:
     )
 
 
-def moving(V_WO: np.ndarray) -> list[SpatialVelocity]:
+def moving(V_WO):
     still = SpatialVelocity.Zero()
     return [still, SpatialVelocity(w=V_WO[:3], v=V_WO[3:]), still]
 
 
-def alone(judge: Judge, action: SearchAction, *, seed: int = 0) -> Alone:
+def alone(judge, action, *, seed=0):
     """The gripper with fixed inputs; body 1 is the brick, 2 the target."""
     return Alone(
         make(judge, {"brick": 1, TARGET: 2}, seed=seed),
@@ -117,7 +103,7 @@ def alone(judge: Judge, action: SearchAction, *, seed: int = 0) -> Alone:
     )
 
 
-def lifting(judge: Judge, *, seed: int = 0) -> Alone:
+def lifting(judge, *, seed=0):
     """A gripper at the instant at which the lift begins."""
     gripper = alone(judge, take("brick"), seed=seed)
     time = 0.0
@@ -128,7 +114,7 @@ def lifting(judge: Judge, *, seed: int = 0) -> Alone:
     return gripper
 
 
-def test_ports_are_named() -> None:
+def test_ports_are_named():
     system = make(Judge(), {"brick": 1})
     assert inputs_of(system) == [
         "action",
@@ -145,7 +131,7 @@ def test_ports_are_named() -> None:
 @pytest.mark.parametrize(
     ("number", "outcome"), [(0, Outcome.NONE), (1, Outcome.NO_GRASP)]
 )
-def test_without_a_grasp_it_stays_idle(number: int, outcome: Outcome) -> None:
+def test_without_a_grasp_it_stays_idle(number, outcome):
     judge = Judge()
     gripper = alone(judge, SearchAction(number=number))
     status = gripper.advance_to(0.3)
@@ -157,7 +143,7 @@ def test_without_a_grasp_it_stays_idle(number: int, outcome: Outcome) -> None:
     assert judge.asked == []
 
 
-def test_a_command_is_taken_up_once() -> None:
+def test_a_command_is_taken_up_once():
     gripper = alone(Judge(), take("brick"))
     assert gripper.get("status").mode is GripperMode.IDLE  # before an event
     status = gripper.advance_to(0.02)
@@ -169,7 +155,7 @@ def test_a_command_is_taken_up_once() -> None:
     assert gripper.advance_to(0.3).number == 1
 
 
-def test_the_lift_begins_by_bearing_the_weight() -> None:
+def test_the_lift_begins_by_bearing_the_weight():
     (applied,) = lifting(Judge()).get("applied_spatial_force")
     assert int(applied.body_index) == 1
     np.testing.assert_allclose(applied.p_BoBq_B, BRICK.p_OCom)
@@ -179,7 +165,7 @@ def test_the_lift_begins_by_bearing_the_weight() -> None:
     np.testing.assert_allclose(applied.F_Bq_W.rotational(), 0, atol=1e-9)
 
 
-def test_the_spring_sees_the_centre_of_mass_move() -> None:
+def test_the_spring_sees_the_centre_of_mass_move():
     """A turn about the centre of mass costs torque, no force."""
     gripper = lifting(Judge())
     w = np.array([0.0, 0.0, 2.0])
@@ -194,7 +180,7 @@ def test_the_spring_sees_the_centre_of_mass_move() -> None:
     np.testing.assert_allclose(torque[:2], 0, atol=1e-9)
 
 
-def test_the_judge_sees_the_heap_and_a_perturbed_grasp() -> None:
+def test_the_judge_sees_the_heap_and_a_perturbed_grasp():
     judge = Judge()
     lifting(judge)
     ((name, X_WG, friction),) = judge.asked
@@ -209,7 +195,7 @@ def test_the_judge_sees_the_heap_and_a_perturbed_grasp() -> None:
     assert friction == pytest.approx(0.5, abs=0.45)
 
 
-def test_perturbations_follow_the_seed_and_the_number() -> None:
+def test_perturbations_follow_the_seed_and_the_number():
     first, same, other = Judge(), Judge(), Judge()
     lifting(first)
     lifting(same)
@@ -227,7 +213,7 @@ def test_perturbations_follow_the_seed_and_the_number() -> None:
     assert judge.asked[0][2] != judge.asked[1][2]
 
 
-def test_a_judged_failure_moves_nothing_and_says_why() -> None:
+def test_a_judged_failure_moves_nothing_and_says_why():
     judge = Judge(0.0, "jaw hits cup")
     gripper = alone(judge, take("brick"))
     busy = 0
@@ -245,7 +231,7 @@ def test_a_judged_failure_moves_nothing_and_says_why() -> None:
     assert len(judge.asked) == 1
 
 
-def test_an_object_that_does_not_follow_slips() -> None:
+def test_an_object_that_does_not_follow_slips():
     gripper = lifting(Judge())  # its pose stays fixed
     time = gripper.context.get_time()
     while gripper.get("applied_spatial_force"):
@@ -264,7 +250,7 @@ def test_an_object_that_does_not_follow_slips() -> None:
     assert gripper.get("applied_spatial_force") == []
 
 
-def test_the_drawn_gripper_goes_to_the_grasp() -> None:
+def test_the_drawn_gripper_goes_to_the_grasp():
     gripper = alone(Judge(), take("brick"))
     home = gripper.get("position")
     assert home.shape == (9,)
@@ -286,16 +272,14 @@ def test_the_drawn_gripper_goes_to_the_grasp() -> None:
 class Cell(TransferCell):
     """A bin, a tote, objects, and the ideal gripper."""
 
-    def __init__(
-        self, judge: Judge, poses: Mapping[str, np.ndarray], **more: Any
-    ) -> None:
+    def __init__(self, judge, poses, **more):
         super().__init__(poses, *(MODELS[name] for name in poses))
         self.plant.Finalize()
         gripper = self.builder.AddSystem(make(judge, self.bodies, **more))
         connect_body(self.builder, self.plant, gripper)
         self.build(gripper)
 
-    def advance_until(self, *, stirring: bool) -> float:
+    def advance_until(self, *, stirring):
         """Advances until the status says so; returns the time."""
         end = self.context.get_time() + 5.0
         while self.status.stirring is not stirring:
@@ -305,7 +289,7 @@ class Cell(TransferCell):
 
 
 @pytest.mark.parametrize("name", POSES)
-def test_it_lifts_carries_and_releases(name: str) -> None:
+def test_it_lifts_carries_and_releases(name):
     cell = Cell(Judge(), POSES)
     (other,) = set(POSES) - {name}
     way = cell.run(take(name, X_WO=POSES[name]))
@@ -322,7 +306,7 @@ def test_it_lifts_carries_and_releases(name: str) -> None:
     np.testing.assert_allclose(cell.pose(name)[:3, 3], way[-1], atol=1e-3)
 
 
-def test_the_next_object_goes_to_another_place() -> None:
+def test_the_next_object_goes_to_another_place():
     cell = Cell(Judge(), POSES)
     for number, name in enumerate(POSES, 1):
         cell.run(take(name, number, cell.pose(name)))
@@ -333,7 +317,7 @@ def test_the_next_object_goes_to_another_place() -> None:
     assert np.linalg.norm(places[0] - places[1]) > 0.05
 
 
-def test_a_failure_leaves_the_plant_as_it_is() -> None:
+def test_a_failure_leaves_the_plant_as_it_is():
     cell = Cell(Judge(0.0, "no"), POSES)
     cell.run(take("brick"))
     assert cell.status.outcome is Outcome.FAILED
@@ -343,7 +327,7 @@ def test_a_failure_leaves_the_plant_as_it_is() -> None:
         )
 
 
-def test_an_object_that_is_stuck_slips_and_stays() -> None:
+def test_an_object_that_is_stuck_slips_and_stays():
     cell = Cell(Judge(), POSES)
     cell.items["brick"].joint.Lock(
         cell.plant.GetMyMutableContextFromRoot(cell.context)
@@ -353,7 +337,7 @@ def test_an_object_that_is_stuck_slips_and_stays() -> None:
     np.testing.assert_array_equal(cell.pose("brick"), POSES["brick"])
 
 
-def test_it_holds_until_the_rest_is_at_rest() -> None:
+def test_it_holds_until_the_rest_is_at_rest():
     """A second object still falls while the first is lifted."""
     waiting = {}
     for height in (0.0025, 6.0):
@@ -367,14 +351,14 @@ def test_it_holds_until_the_rest_is_at_rest() -> None:
     assert lowest < 0.05  # it has landed meanwhile
 
 
-def test_it_does_not_wait_for_ever() -> None:
+def test_it_does_not_wait_for_ever():
     falling = POSES | {TARGET: at(-0.1, 0.0, 200.0)}
     cell = Cell(Judge(), falling, config=QuasiStaticConfig(rest_timeout=0.5))
     cell.run(take("brick"), limit=5.0)
     assert cell.status.outcome is Outcome.LIFTED
 
 
-def test_what_fell_out_of_the_cell_is_left_alone() -> None:
+def test_what_fell_out_of_the_cell_is_left_alone():
     """It falls on below the tote; the gripper neither follows nor waits."""
     cell = Cell(Judge(), POSES | {TARGET: at(0.0, 5.0, -0.2)})
     way = cell.run(take("brick"), limit=4.0)
@@ -384,11 +368,11 @@ def test_what_fell_out_of_the_cell_is_left_alone() -> None:
     assert way[:, 2].min() > 0.0
 
 
-def test_what_the_status_says_of_an_object_alone_in_the_bin() -> None:
+def test_what_the_status_says_of_an_object_alone_in_the_bin():
     """It settles between the lift and the way to the tote."""
     cell = Cell(Judge(), {"brick": POSES["brick"]})
     cell.command(take("brick"))
-    said: list[tuple[bool, bool, str, tuple[str, ...]]] = []
+    said = []
     while cell.context.get_time() < 4.0:
         status = cell.advance(0.02)
         now = (status.stirring, status.settling, status.held, status.loose)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from xray_drake.gripper.motion import Grip, Segment, straight
 
 
-def pose(rng: np.random.Generator) -> np.ndarray:
+def pose(rng):
     X = np.eye(4)
     X[:3, :3] = Rotation.from_quat(rng.normal(size=4)).as_matrix()
     X[:3, 3] = rng.uniform(-1, 1, 3)
@@ -17,19 +17,16 @@ def pose(rng: np.random.Generator) -> np.ndarray:
 
 
 @st.composite
-def segments(draw: st.DrawFn) -> Segment:
+def segments(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     return Segment(
-        pose(rng),
-        pose(rng),
-        draw(st.floats(0, 100)),
-        draw(st.floats(0.1, 3)),
+        pose(rng), pose(rng), draw(st.floats(0, 100)), draw(st.floats(0.1, 3))
     )
 
 
 @settings(deadline=None, max_examples=30)
 @given(segments(), st.floats(0, 2))
-def test_it_goes_from_rest_to_rest(segment: Segment, more: float) -> None:
+def test_it_goes_from_rest_to_rest(segment, more):
     first, last = segment.begin, segment.begin + segment.duration
     for time, end in (
         (first - more, segment.start),
@@ -45,9 +42,7 @@ def test_it_goes_from_rest_to_rest(segment: Segment, more: float) -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(segments(), st.floats(0.02, 0.98))
-def test_velocity_and_acceleration_are_derivatives(
-    segment: Segment, share: float
-) -> None:
+def test_velocity_and_acceleration_are_derivatives(segment, share):
     time, h = segment.begin + share * segment.duration, 1e-4
     before, now, after = (segment.sample(time + s * h) for s in (-1, 0, 1))
     scale = 10 / segment.duration
@@ -63,9 +58,7 @@ def test_velocity_and_acceleration_are_derivatives(
 
 @settings(deadline=None, max_examples=30)
 @given(segments(), st.floats(0, 1))
-def test_it_is_straight_and_turns_the_short_way(
-    segment: Segment, share: float
-) -> None:
+def test_it_is_straight_and_turns_the_short_way(segment, share):
     X, _, _ = segment.sample(segment.begin + share * segment.duration)
     R = X[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
@@ -83,9 +76,7 @@ def test_it_is_straight_and_turns_the_short_way(
 
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.001, 2), st.floats(0.05, 2), st.integers(0, 2**32 - 1))
-def test_a_straight_motion_keeps_to_its_speed(
-    distance: float, speed: float, seed: int
-) -> None:
+def test_a_straight_motion_keeps_to_its_speed(distance, speed, seed):
     rng = np.random.default_rng(seed)
     start = pose(rng)
     direction = rng.normal(size=3)
@@ -101,7 +92,7 @@ def test_a_straight_motion_keeps_to_its_speed(
         assert fastest == pytest.approx(speed)
 
 
-def test_no_way_to_go_takes_the_shortest_time() -> None:
+def test_no_way_to_go_takes_the_shortest_time():
     segment = straight(np.eye(4), np.zeros(3), 2.0, speed=1.0, shortest=0.3)
     assert [segment.is_over(t) for t in (2.0, 2.299, 2.3)] == [0, 0, 1]
     _, v, a = segment.sample(2.15)
@@ -113,18 +104,14 @@ def test_no_way_to_go_takes_the_shortest_time() -> None:
 class Body:
     """A free rigid body under gravity that a grip draws along."""
 
-    def __init__(self, mass: float, grip: Grip | None = None) -> None:
+    def __init__(self, mass, grip=None):
         self.mass = mass
         self.inertia = 1e-4 * mass * np.diag([1.0, 2.0, 2.5])
         self.grip = grip or Grip()
         self.R = np.eye(3)
         self.p, self.v, self.w = np.zeros(3), np.zeros(3), np.zeros(3)
 
-    def wrench(
-        self,
-        desired: tuple[np.ndarray, np.ndarray, np.ndarray],
-        gravity: float = 9.81,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def wrench(self, desired, gravity=9.81):
         return self.grip.wrench(
             mass=self.mass,
             inertia_W=self.R @ self.inertia @ self.R.T,
@@ -136,11 +123,7 @@ class Body:
             gravity=gravity,
         )
 
-    def step(
-        self,
-        desired: tuple[np.ndarray, np.ndarray, np.ndarray],
-        gravity: float = 9.81,
-    ) -> None:
+    def step(self, desired, gravity=9.81):
         h = self.grip.step
         torque, force = self.wrench(desired, gravity)
         inertia_W = self.R @ self.inertia @ self.R.T
@@ -151,7 +134,7 @@ class Body:
         self.R = Rotation.from_rotvec(h * self.w).as_matrix() @ self.R
 
 
-def still(X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def still(X):
     return X, np.zeros(3), np.zeros(3)
 
 
@@ -161,9 +144,7 @@ MASSES = [0.003, 0.05, 0.4]
 
 @pytest.mark.parametrize("a", [np.zeros(3), np.array([0.3, -0.2, 1.0])])
 @pytest.mark.parametrize("mass", MASSES)
-def test_a_body_that_follows_is_borne_and_accelerated(
-    mass: float, a: np.ndarray
-) -> None:
+def test_a_body_that_follows_is_borne_and_accelerated(mass, a):
     body = Body(mass)
     body.v = a / 3
     torque, force = body.wrench((np.eye(4), body.v, a))
@@ -173,9 +154,7 @@ def test_a_body_that_follows_is_borne_and_accelerated(
 
 @settings(deadline=None, max_examples=50)
 @given(st.sampled_from(MASSES), st.integers(0, 2**32 - 1))
-def test_the_pull_is_the_springs_at_the_end_of_the_step(
-    mass: float, seed: int
-) -> None:
+def test_the_pull_is_the_springs_at_the_end_of_the_step(mass, seed):
     """Backward Euler: what makes it stable for any mass."""
     rng = np.random.default_rng(seed)
     body = Body(mass)
@@ -196,7 +175,7 @@ def test_the_pull_is_the_springs_at_the_end_of_the_step(
 
 
 @pytest.mark.parametrize("mass", MASSES)
-def test_the_turn_is_the_springs_at_the_end_of_the_step(mass: float) -> None:
+def test_the_turn_is_the_springs_at_the_end_of_the_step(mass):
     body = Body(mass)
     grip = body.grip
     body.w = np.array([0.0, 0.0, 0.4])
@@ -211,7 +190,7 @@ def test_the_turn_is_the_springs_at_the_end_of_the_step(mass: float) -> None:
 
 
 @pytest.mark.parametrize("mass", MASSES)
-def test_the_pull_is_limited(mass: float) -> None:
+def test_the_pull_is_limited(mass):
     body = Body(mass, Grip(force=3.0))
     X = np.eye(4)
     X[:3, :3] = Rotation.from_rotvec([0, 3.0, 0]).as_matrix()
@@ -224,7 +203,7 @@ def test_the_pull_is_limited(mass: float) -> None:
 
 
 @pytest.mark.parametrize("mass", MASSES)
-def test_a_body_follows_a_lift_and_comes_to_rest(mass: float) -> None:
+def test_a_body_follows_a_lift_and_comes_to_rest(mass):
     body = Body(mass)
     body.R = Rotation.from_rotvec([0.3, -0.2, 0.4]).as_matrix()
     segment = straight(np.eye(4), np.array([0.0, 0.1, 0.2]), 0.0, speed=0.8)
@@ -241,7 +220,7 @@ def test_a_body_follows_a_lift_and_comes_to_rest(mass: float) -> None:
 
 
 @pytest.mark.parametrize("mass", MASSES)
-def test_the_spring_does_not_swing(mass: float) -> None:
+def test_the_spring_does_not_swing(mass):
     body = Body(mass)
     X = np.eye(4)
     X[0, 3] = 0.01

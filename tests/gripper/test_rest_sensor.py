@@ -12,21 +12,21 @@ NAME = "box_2to1"
 class Watched(Alone):
     """A sensor of one object whose pose is set from outside."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         objects = [target_model(NAME)]
         super().__init__(
             RestSensor(objects=objects, bodies={NAME: 1}, round_time=0.3)
         )
         self.put(0.0, 0.0, 0.01)
 
-    def put(self, *p_WO: float) -> None:
+    def put(self, *p_WO):
         self.fix("body_poses", [RigidTransform(), RigidTransform(list(p_WO))])
 
-    def after(self, duration: float) -> bool:
+    def after(self, duration):
         return bool(self.advance_to(self.context.get_time() + duration)[0])
 
 
-def test_it_takes_a_whole_round_to_be_sure() -> None:
+def test_it_takes_a_whole_round_to_be_sure():
     watched = Watched()
     assert not watched.after(0.25)
     assert watched.after(0.1)
@@ -34,7 +34,7 @@ def test_it_takes_a_whole_round_to_be_sure() -> None:
 
 
 @pytest.mark.parametrize(("step", "rests"), [(0.002, False), (0.0005, True)])
-def test_what_moves_is_not_at_rest(step: float, rests: bool) -> None:
+def test_what_moves_is_not_at_rest(step, rests):
     watched = Watched()
     assert watched.after(0.35)
     watched.put(step, 0.0, 0.01)
@@ -42,7 +42,7 @@ def test_what_moves_is_not_at_rest(step: float, rests: bool) -> None:
     assert watched.after(0.3)
 
 
-def test_what_fell_out_of_the_cell_does_not_count() -> None:
+def test_what_fell_out_of_the_cell_does_not_count():
     watched = Watched()
     for z in np.linspace(-0.1, -3.0, 10):
         watched.put(0.5, 0.5, z)

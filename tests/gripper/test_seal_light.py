@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 import umsgpack
 from pydrake.common.value import AbstractValue
-from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
 from xray_drake.drawing.meshcat_layers import start_meshcat
@@ -11,11 +10,11 @@ from xray_drake.gripper.suction import CupState
 
 
 @pytest.fixture
-def meshcat() -> Meshcat:
+def meshcat():
     return start_meshcat()
 
 
-def lights(meshcat: Meshcat) -> set[str]:
+def lights(meshcat):
     return {
         name
         for name in ("drawing", "sealed")
@@ -25,7 +24,7 @@ def lights(meshcat: Meshcat) -> set[str]:
     }
 
 
-def test_it_lies_around_the_lip(meshcat: Meshcat) -> None:
+def test_it_lies_around_the_lip(meshcat):
     X_BC = np.eye(4)
     X_BC[:3, 3] = 0.15, 0.0, 0.02
     light = SealLight(meshcat, X_BC)
@@ -39,7 +38,7 @@ def test_it_lies_around_the_lip(meshcat: Meshcat) -> None:
     assert np.linalg.norm(X[:3, 3] - X_BC[:3, 3]) < 0.003
 
 
-def test_it_is_drawn_anew_with_each_simulation(meshcat: Meshcat) -> None:
+def test_it_is_drawn_anew_with_each_simulation(meshcat):
     light = SealLight(meshcat, np.eye(4))
     simulator = Simulator(light)
     light.get_input_port().FixValue(
@@ -52,7 +51,7 @@ def test_it_is_drawn_anew_with_each_simulation(meshcat: Meshcat) -> None:
     assert meshcat.HasPath(f"{GRIPPER_PATH}/sealed")
 
 
-def test_it_follows_the_cup(meshcat: Meshcat) -> None:
+def test_it_follows_the_cup(meshcat):
     light = SealLight(meshcat, np.eye(4), period=0.1)
     simulator = Simulator(light)
     port, context = light.get_input_port(), simulator.get_mutable_context()

@@ -30,15 +30,15 @@ wrenches = st.lists(numbers, min_size=6, max_size=6).map(
 masses = st.floats(np.log(0.002), np.log(0.5)).map(np.exp)
 
 
-def inertia_of(mass: float, size: float = 0.04) -> np.ndarray:
+def inertia_of(mass, size=0.04):
     return mass * size**2 * np.diag([0.08, 0.12, 0.17])
 
 
-def pull(force: float) -> np.ndarray:
+def pull(force):
     return np.array([0, 0, 0, 0, 0, -force])
 
 
-def test_the_limits_one_by_one() -> None:
+def test_the_limits_one_by_one():
     assert CUP.load(pull(14.0)) == pytest.approx(1.0)
     assert CUP.load(pull(14.0), vacuum=0.5) == pytest.approx(2.0)
     assert CUP.load(pull(-14.0)) == 0.0  # pressed on
@@ -52,15 +52,13 @@ def test_the_limits_one_by_one() -> None:
     assert CUP.load(shear + pull(-7.0)) < 1.0 < CUP.load(shear + pull(7.0))
 
 
-def test_without_vacuum_it_bears_no_pull() -> None:
+def test_without_vacuum_it_bears_no_pull():
     assert CUP.load(pull(0.01), vacuum=0.0) == np.inf
     assert CUP.load(pull(-0.01), vacuum=0.0) == 0.0
 
 
 @given(wrenches, wrenches, st.floats(0, 5), st.floats(0.01, 1))
-def test_the_load_is_the_gauge_of_a_convex_set(
-    a: np.ndarray, b: np.ndarray, factor: float, vacuum: float
-) -> None:
+def test_the_load_is_the_gauge_of_a_convex_set(a, b, factor, vacuum):
     load = CUP.load(a, vacuum)
     assert CUP.load(factor * a, vacuum) == pytest.approx(
         factor * load, abs=1e-9
@@ -70,9 +68,7 @@ def test_the_load_is_the_gauge_of_a_convex_set(
 
 
 @given(vectors, vectors)
-def test_what_planning_promises_is_held(
-    lever: np.ndarray, gravity: np.ndarray
-) -> None:
+def test_what_planning_promises_is_held(lever, gravity):
     """Planning linearises the same limits from inside (Dex-Net 3.0)."""
     assume(np.linalg.norm(gravity) > 0.1)
     gravity = gravity / np.linalg.norm(gravity)
@@ -93,9 +89,7 @@ def test_what_planning_promises_is_held(
 
 
 @given(masses, vectors, wrenches)
-def test_the_mobility_is_that_of_a_free_body(
-    mass: float, lever: np.ndarray, wrench: np.ndarray
-) -> None:
+def test_the_mobility_is_that_of_a_free_body(mass, lever, wrench):
     lever = 0.05 * lever
     inertia = inertia_of(mass)
     W = point_mobility(mass, inertia, lever)
@@ -104,18 +98,13 @@ def test_the_mobility_is_that_of_a_free_body(
     alpha = np.linalg.solve(inertia, torque + np.cross(lever, force))
     expected = force / mass + np.cross(alpha, lever)
     np.testing.assert_allclose(
-        W @ wrench,
-        [*alpha, *expected],
-        rtol=1e-6,
-        atol=1e-9 * np.abs(W).max(),
+        W @ wrench, [*alpha, *expected], rtol=1e-6, atol=1e-9 * np.abs(W).max()
     )
 
 
 @settings(deadline=None, max_examples=50)
 @given(masses, vectors, vectors, vectors)
-def test_a_body_on_the_cup_does_not_gain_energy(
-    mass: float, lever: np.ndarray, turn: np.ndarray, shift: np.ndarray
-) -> None:
+def test_a_body_on_the_cup_does_not_gain_energy(mass, lever, turn, shift):
     """Stepped as the plant does: new velocities, then positions by them."""
     inertia = inertia_of(mass)
     W = point_mobility(mass, inertia, 0.03 * lever)
@@ -131,13 +120,7 @@ def test_a_body_on_the_cup_does_not_gain_energy(
     assert energy[-1] <= 0.7 * energy[0] + 1e-15
 
 
-def body(
-    mass: float,
-    x: np.ndarray,
-    v: np.ndarray,
-    *,
-    R_WC: np.ndarray | None = None,
-) -> HeldBody:
+def body(mass, x, v, *, R_WC=None):
     return HeldBody(
         mass=mass,
         inertia=inertia_of(mass),
@@ -155,7 +138,7 @@ GRAVITY = np.array([0, 0, 0, 0, 0, -9.81])
 
 @settings(deadline=None, max_examples=20)
 @given(masses)
-def test_it_bears_the_weight_of_a_free_body(mass: float) -> None:
+def test_it_bears_the_weight_of_a_free_body(mass):
     state, x, v = SEALED, np.zeros(6), np.zeros(6)
     W = point_mobility(mass, inertia_of(mass), np.zeros(3))
     for _ in range(200):
@@ -173,7 +156,7 @@ def test_it_bears_the_weight_of_a_free_body(mass: float) -> None:
 
 
 @pytest.mark.parametrize("mass", [0.003, 0.3])
-def test_on_a_body_that_is_stuck_it_pulls_like_a_spring(mass: float) -> None:
+def test_on_a_body_that_is_stuck_it_pulls_like_a_spring(mass):
     state, x = SEALED, np.array([0, 0, 0, 0, 0, -0.004])
     for _ in range(400):
         state = hold(CUP, state, body(mass, x, np.zeros(6)), STEP)
@@ -181,7 +164,7 @@ def test_on_a_body_that_is_stuck_it_pulls_like_a_spring(mass: float) -> None:
     assert state.object == "plate"
 
 
-def test_too_much_for_long_ends_the_seal() -> None:
+def test_too_much_for_long_ends_the_seal():
     x = np.array([0, 0, 0, 0, 0, -0.010])  # of which 8 mm is the most
     state, steps = SEALED, 0
     while state.object:
@@ -195,7 +178,7 @@ def test_too_much_for_long_ends_the_seal() -> None:
     assert state.flow == 1.0
 
 
-def test_a_jerk_does_not() -> None:
+def test_a_jerk_does_not():
     far, near = np.zeros(6), np.zeros(6)
     far[5] = -0.010
     state = SEALED
@@ -213,7 +196,7 @@ def test_a_jerk_does_not() -> None:
         ([0.8, 0, 0, 0, 0, 0], "the lip bends off"),
     ],
 )
-def test_it_says_why_it_let_go(deflection: list[float], why: str) -> None:
+def test_it_says_why_it_let_go(deflection, why):
     state = SEALED
     while state.object:
         state = hold(
@@ -222,7 +205,7 @@ def test_it_says_why_it_let_go(deflection: list[float], why: str) -> None:
     assert state.lost == why
 
 
-def test_the_vacuum_takes_its_time() -> None:
+def test_the_vacuum_takes_its_time():
     state = CupState(object="plate", drawing=True)
     vacuum = []
     for _ in range(40):
@@ -236,7 +219,7 @@ def test_the_vacuum_takes_its_time() -> None:
 
 
 @given(st.integers(0, 2**31))
-def test_directions_do_not_matter(seed: int) -> None:
+def test_directions_do_not_matter(seed):
     """The same in other axes: the law has no preferred direction."""
     rng = np.random.default_rng(seed)
     turn = Rotation.random(random_state=seed % 1000).as_matrix()
@@ -257,7 +240,7 @@ def test_directions_do_not_matter(seed: int) -> None:
     )
 
 
-def test_an_open_cup() -> None:
+def test_an_open_cup():
     state = CupState()
     assert open_cup(state, suction=False) is state
     assert state.flow == 0.0
@@ -268,14 +251,14 @@ def test_an_open_cup() -> None:
     assert (let_go.object, let_go.vacuum, let_go.lost) == ("", 0.0, "")
 
 
-def test_stiffness_comes_from_the_bellows() -> None:
+def test_stiffness_comes_from_the_bellows():
     soft = Cup(bellows_travel=0.008, config=SuctionConfig(damping_time=0.02))
     np.testing.assert_allclose(soft.stiffness, 0.5 * CUP.stiffness)
     np.testing.assert_allclose(soft.damping, CUP.damping)
     assert CUP.stiffness[5] * 2 * 0.004 == pytest.approx(14.0)
 
 
-def test_a_deflection() -> None:
+def test_a_deflection():
     X_WC, X_WL = np.eye(4), np.eye(4)
     X_WC[:3, :3] = Rotation.from_euler("x", 0.3).as_matrix()
     X_WL[:3, :3] = Rotation.from_euler("x", 0.5).as_matrix()

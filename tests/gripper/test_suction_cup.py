@@ -7,26 +7,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from scipy.spatial.transform import Rotation
 
 from tests.gripper.cells import STEP, Alone, DrivenCell, block
 from tests.ports import inputs_of, outputs_of
-from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.object_model import object_from_pieces
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 GRIPPER, PLATE, OTHER = 1, 2, 3
 
 
-def plate(
-    mass: float = 0.1, size: tuple[float, float, float] = (0.08, 0.06, 0.02)
-) -> ObjectModel:
+def plate(mass=0.1, size=(0.08, 0.06, 0.02)):
     return block(size, mass, "plate")
 
 
-def lying_cylinder(radius: float) -> ObjectModel:
+def lying_cylinder(radius):
     along_x = np.eye(4)
     along_x[:3, :3] = Rotation.from_euler("y", np.pi / 2).as_matrix()
     mesh = trimesh.creation.cylinder(
@@ -35,9 +31,7 @@ def lying_cylinder(radius: float) -> ObjectModel:
     return object_from_pieces("plate", [mesh], density=500.0)
 
 
-def pose(
-    x: float = 0.0, y: float = 0.0, z: float = 0.0, R: np.ndarray | None = None
-) -> np.ndarray:
+def pose(x=0.0, y=0.0, z=0.0, R=None):
     X = np.eye(4)
     X[:3, 3] = x, y, z
     X[:3, :3] = np.eye(3) if R is None else R
@@ -47,15 +41,7 @@ def pose(
 class Cup(Alone):
     """The cup with fixed inputs; its lip is the gripper's own frame."""
 
-    def __init__(
-        self,
-        X_WC: np.ndarray,
-        *,
-        model: ObjectModel | None = None,
-        X_WO: np.ndarray | None = None,
-        X_other: np.ndarray | None = None,
-        X_BC: np.ndarray | None = None,
-    ) -> None:
+    def __init__(self, X_WC, *, model=None, X_WO=None, X_other=None, X_BC=None):
         self.X_BC = np.eye(4) if X_BC is None else X_BC
         self.X_WO = np.eye(4) if X_WO is None else X_WO
         self.X_other = pose(9.0) if X_other is None else X_other
@@ -72,7 +58,7 @@ class Cup(Alone):
         )
         self.put(X_WC)
 
-    def put(self, X_WC: np.ndarray) -> None:
+    def put(self, X_WC):
         self.X_WC = X_WC
         X_WB = X_WC @ np.linalg.inv(self.X_BC)
         poses = [np.eye(4), X_WB, self.X_WO, self.X_other]
@@ -81,21 +67,21 @@ class Cup(Alone):
         self.fix("body_poses", [RigidTransform(X) for X in poses])
         self.fix("body_spatial_velocities", [still, *moving, still])
 
-    def advance(self, steps: int = 1) -> CupState:
+    def advance(self, steps=1):
         return self.advance_to(self.context.get_time() + STEP * steps)
 
     @property
-    def forces(self) -> list[ExternallyAppliedSpatialForce]:
+    def forces(self):
         return self.get("applied_spatial_force")
 
 
-def over_plate(height: float, x: float = 0.0, tilt: float = 0.0) -> np.ndarray:
+def over_plate(height, x=0.0, tilt=0.0):
     """The lip so far over the plate's top, at its centre's height."""
     turn = Rotation.from_euler("y", tilt).as_matrix()
     return pose(x, 0.0, 0.01 + height, turn @ DOWN)
 
 
-def test_ports_are_named() -> None:
+def test_ports_are_named():
     system = Cup(over_plate(0.1)).system
     assert inputs_of(system) == [
         "suction",
@@ -106,7 +92,7 @@ def test_ports_are_named() -> None:
     assert system.get_name() == "suction_cup"
 
 
-def test_it_seals_on_command_and_lets_go() -> None:
+def test_it_seals_on_command_and_lets_go():
     cup = Cup(over_plate(0.0))
     cup.fix("suction", np.zeros(1))
     assert cup.advance(8).object == ""
@@ -132,13 +118,13 @@ def test_it_seals_on_command_and_lets_go() -> None:
         (-0.009, False),
     ],
 )
-def test_its_reach(height: float, seals: bool) -> None:
+def test_its_reach(height, seals):
     state = Cup(over_plate(height)).advance(5)
     assert bool(state.object) == seals
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1, 0.2, 0.35, 0.5])
-def test_a_tilted_cup_seals_once_all_of_its_lip_touches(tilt: float) -> None:
+def test_a_tilted_cup_seals_once_all_of_its_lip_touches(tilt):
     """The far side of the lip is r sin(tilt) away, and so deep is the near."""
     far = 0.015 * np.sin(tilt)
     assert not Cup(over_plate(0.002, tilt=tilt)).advance(5).object
@@ -149,16 +135,14 @@ def test_a_tilted_cup_seals_once_all_of_its_lip_touches(tilt: float) -> None:
 @pytest.mark.parametrize(
     ("x", "seals"), [(0.02, True), (0.024, True), (0.0265, False)]
 )
-def test_it_does_not_seal_over_an_edge(x: float, seals: bool) -> None:
+def test_it_does_not_seal_over_an_edge(x, seals):
     """The plate ends at 40 mm, the lip reaches 15 mm."""
     state = Cup(over_plate(-0.001, x=x)).advance(5)
     assert bool(state.object) == seals
 
 
 @pytest.mark.parametrize(("radius", "seals"), [(0.03, True), (0.018, False)])
-def test_it_does_not_seal_where_the_surface_curves(
-    radius: float, seals: bool
-) -> None:
+def test_it_does_not_seal_where_the_surface_curves(radius, seals):
     model = lying_cylinder(radius)
     sealed = [
         bool(Cup(pose(z=radius - press, R=DOWN), model=model).advance(5).object)
@@ -167,21 +151,19 @@ def test_it_does_not_seal_where_the_surface_curves(
     assert any(sealed) == seals
 
 
-def test_it_does_not_seal_over_something_else() -> None:
+def test_it_does_not_seal_over_something_else():
     beside = pose(0.027, 0.0, 0.011)
     assert Cup(over_plate(0.0), X_other=beside).advance(5).object == "plate"
     under = pose(0.020, 0.0, 0.011)
     assert not Cup(over_plate(0.0), X_other=under).advance(5).object
 
 
-def test_nothing_to_seal_on() -> None:
+def test_nothing_to_seal_on():
     state = Cup(over_plate(0.3)).advance(5)
     assert (state.object, state.flow) == ("", 1.0)
 
 
-def about_the_origin(
-    applied: ExternallyAppliedSpatialForce, X_WB: np.ndarray
-) -> np.ndarray:
+def about_the_origin(applied, X_WB):
     p = X_WB[:3, :3] @ applied.p_BoBq_B + X_WB[:3, 3]
     f = applied.F_Bq_W.translational()
     return np.concatenate([applied.F_Bq_W.rotational() + np.cross(p, f), f])
@@ -189,9 +171,7 @@ def about_the_origin(
 
 @settings(deadline=None, max_examples=10)
 @given(st.integers(0, 2**31))
-def test_what_it_gives_to_the_object_it_takes_from_the_gripper(
-    seed: int,
-) -> None:
+def test_what_it_gives_to_the_object_it_takes_from_the_gripper(seed):
     """The sum of the pair is no wrench: neither force nor torque."""
     rng = np.random.default_rng(seed)
     X_BC = pose(0.15, 0.0, 0.02, Rotation.from_euler("y", 1.3).as_matrix())
@@ -216,9 +196,7 @@ def test_what_it_gives_to_the_object_it_takes_from_the_gripper(
 class Cell(DrivenCell):
     """The cup on its gripper, sealed on a plate that lies in the bin."""
 
-    def __init__(
-        self, model: ObjectModel, *, sampled_ports: bool = True
-    ) -> None:
+    def __init__(self, model, *, sampled_ports=True):
         super().__init__(model, cup=True, sampled_ports=sampled_ports)
         self.item = self.items["plate"]
         gripper, shut = self.gripper, self.gripper.finger_travel
@@ -228,11 +206,11 @@ class Cell(DrivenCell):
         self.advance(0.25)
 
     @property
-    def state(self) -> CupState:
+    def state(self):
         context = self.cup.GetMyContextFromRoot(self.context)
         return self.cup.GetOutputPort("state").Eval(context)
 
-    def weigh(self) -> tuple[float, float]:
+    def weigh(self):
         """Advances by a step.
 
         Returns:
@@ -245,7 +223,7 @@ class Cell(DrivenCell):
         return self.state.wrench[5], self.item.model.mass * (gained + 9.81)
 
     @property
-    def velocity(self) -> float:
+    def velocity(self):
         """The object's centre of mass, upwards, m/s."""
         context = self.plant_context
         V = self.plant.EvalBodySpatialVelocityInWorld(context, self.item.body)
@@ -258,7 +236,7 @@ UP = np.array([0, 0, 0.1, 0, 0, 0])
 
 
 @pytest.mark.parametrize("mass", [0.003, 0.6])
-def test_it_lifts_what_the_vacuum_can_hold(mass: float) -> None:
+def test_it_lifts_what_the_vacuum_can_hold(mass):
     cell = Cell(plate(mass))
     assert cell.state.object == "plate"
     start = cell.height("plate")
@@ -271,9 +249,7 @@ def test_it_lifts_what_the_vacuum_can_hold(mass: float) -> None:
 
 
 @pytest.mark.parametrize("sampled_ports", [True, False])
-def test_the_force_that_acts_is_the_one_that_it_says(
-    sampled_ports: bool,
-) -> None:
+def test_the_force_that_acts_is_the_one_that_it_says(sampled_ports):
     """Whether the plant steps before the cup's event is done, or after."""
     cell = Cell(plate(0.05), sampled_ports=sampled_ports)
     cell.move(0.5 * UP, 0.3)
@@ -283,7 +259,7 @@ def test_the_force_that_acts_is_the_one_that_it_says(
     np.testing.assert_allclose(acted, said, atol=1e-4)
 
 
-def test_it_drops_what_is_too_heavy() -> None:
+def test_it_drops_what_is_too_heavy():
     cell = Cell(plate(1.6))  # 15.7 N
     assert cell.state.object == "plate"
     start = cell.height("plate")
@@ -294,9 +270,7 @@ def test_it_drops_what_is_too_heavy() -> None:
 
 
 @pytest.mark.parametrize(("mass", "holds"), [(0.5, True), (0.9, False)])
-def test_it_breaks_away_where_friction_cannot_hold(
-    mass: float, holds: bool
-) -> None:
+def test_it_breaks_away_where_friction_cannot_hold(mass, holds):
     """Turned by 90° it goes through √5 m g, which 0.64 kg bring to V."""
     size = (0.04, 0.04, 0.001)  # its centre of mass near the lip
     cell = Cell(plate(mass, size))
@@ -307,7 +281,7 @@ def test_it_breaks_away_where_friction_cannot_hold(
     assert bool(cell.state.lost) != holds
 
 
-def test_held_still_it_comes_to_rest() -> None:
+def test_held_still_it_comes_to_rest():
     cell = Cell(plate(0.05))
     cell.move(UP, 0.4)
     context = cell.plant.GetMyContextFromRoot(cell.context)

@@ -26,15 +26,13 @@ WRIST = Wrist(
 
 
 @st.composite
-def joints(draw: st.DrawFn) -> np.ndarray:
+def joints(draw):
     turns = [draw(st.floats(-3, 3)), draw(st.floats(-np.pi / 2, np.pi / 2))]
     return np.array([0.1, -0.2, 0.3, *turns, draw(st.floats(-3, 3))])
 
 
 @given(joints(), joints())
-def test_joints_give_the_pose_they_are_asked_for(
-    q: np.ndarray, near: np.ndarray
-) -> None:
+def test_joints_give_the_pose_they_are_asked_for(q, near):
     X_WT = WRIST.pose(q)
     found = WRIST.joints(X_WT, near=near)
     np.testing.assert_allclose(WRIST.pose(found), X_WT, atol=1e-6)
@@ -42,20 +40,20 @@ def test_joints_give_the_pose_they_are_asked_for(
 
 
 @pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])
-def test_yaw_stays_where_it_says_nothing(pitch: float) -> None:
+def test_yaw_stays_where_it_says_nothing(pitch):
     q = np.array([0.0, 0.0, 0.5, 0.4, pitch, 0.7])
     found = WRIST.joints(WRIST.pose(q), near=np.array([0, 0, 0, 1.1, 0, 0]))
     assert found[3] == pytest.approx(1.1)
     np.testing.assert_allclose(WRIST.pose(found), WRIST.pose(q), atol=1e-9)
 
 
-def test_jaw_down_and_cup_down_are_alike_in_reach() -> None:
+def test_jaw_down_and_cup_down_are_alike_in_reach():
     for pitch, axis in ((-np.pi / 4, 2), (np.pi / 4, 0)):
         X_WT = WRIST.pose(np.array([0, 0, 0.5, 0.3, pitch, 0]))
         np.testing.assert_allclose(X_WT[:3, axis], [0, 0, -1], atol=1e-12)
 
 
-def test_out_of_reach_says_which_way() -> None:
+def test_out_of_reach_says_which_way():
     X_WT = np.eye(4)
     X_WT[:3, 3] = 2.0, 0.0, -0.1
     with pytest.raises(ReachError, match=r"reach: x, z$"):
@@ -81,9 +79,7 @@ legs = st.lists(
 
 @settings(deadline=None, max_examples=50)
 @given(points, legs, st.floats(0, 100))
-def test_it_goes_along_its_legs_within_the_limits(
-    start: np.ndarray, legs: list[Leg], begin: float
-) -> None:
+def test_it_goes_along_its_legs_within_the_limits(start, legs, begin):
     path = FAST.path(start, legs, begin)
     np.testing.assert_allclose(path.sample(begin)[0], start, atol=1e-9)
     np.testing.assert_allclose(path.end, legs[-1].end, atol=1e-9)
@@ -108,7 +104,7 @@ def test_it_goes_along_its_legs_within_the_limits(
         before = leg.end
 
 
-def test_the_limits_are_used() -> None:
+def test_the_limits_are_used():
     far = np.array([1.0, 0, 0, 0, 0, 0])
     path = FAST.path(np.zeros(6), [Leg(far, 0.5)], 0.0)
     assert path.end_time == pytest.approx(1.875 / 0.5)
@@ -123,7 +119,7 @@ def test_the_limits_are_used() -> None:
     assert fastest == pytest.approx(4.0, rel=0.01)
 
 
-def test_it_stays_before_and_after() -> None:
+def test_it_stays_before_and_after():
     start, end = np.zeros(6), np.full(6, 0.1)
     path = FAST.path(start, [Leg(end)], 1.0)
     for time, there in ((0.0, start), (99.0, end)):

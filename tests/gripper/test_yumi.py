@@ -9,7 +9,6 @@ from pydrake.multibody.plant import (
     ExternallyAppliedSpatialForce,
     MultibodyPlant,
 )
-from pydrake.multibody.tree import RigidBody
 
 from tests.gripper.cells import STEP, DrivenCell, block, downwards
 from xray_drake.choices import CARRIERS
@@ -24,14 +23,13 @@ from xray_drake.gripper.grip_surfaces import PAD
 from xray_drake.gripper.transfer import HOME
 from xray_drake.gripper.yumi import FINGER_JOINTS
 from xray_drake.resources import models_dir
-from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
 
 
 class Cell(DrivenCell):
     """The gripper with what its fingers do."""
 
-    def close(self, force: float) -> None:
+    def close(self, force):
         """Closes within a second, with a force that never gets larger."""
         gripper, finger = self.gripper, 0.0
         lead = force / gripper.finger_stiffness
@@ -43,35 +41,35 @@ class Cell(DrivenCell):
             self.fix("fingers", np.array([finger, finger, 0, 0]))
             self.advance(STEP)
 
-    def lift(self) -> None:
+    def lift(self):
         self.move(np.array([0, 0, 0.08, 0, 0, 0]), 0.5)
 
     @property
-    def fingers(self) -> np.ndarray:
+    def fingers(self):
         return self.positions(self.gripper.finger_instance)
 
     @property
-    def wrist(self) -> np.ndarray:
+    def wrist(self):
         return self.positions(self.gripper.carrier_instance)
 
-    def effort(self, part: str) -> np.ndarray:
+    def effort(self, part):
         return self.diagram.GetOutputPort(f"{part}_effort").Eval(self.context)
 
 
 @pytest.fixture(scope="module")
-def alone() -> Cell:
+def alone():
     return Cell()
 
 
-def jaw_at(z: float) -> np.ndarray:
+def jaw_at(z):
     return downwards(0.05, 0.02, z)
 
 
-def brick(mass: float) -> ObjectModel:
+def brick(mass):
     return block((0.03, 0.03, 0.03), mass)
 
 
-def test_it_is_the_gripper_that_planning_knows() -> None:
+def test_it_is_the_gripper_that_planning_knows():
     old = MultibodyPlant(0.0)
     Parser(old).AddModels(models_dir() / "gripper" / "gripper.sdf")
     new = MultibodyPlant(0.0)
@@ -102,7 +100,7 @@ def test_it_is_the_gripper_that_planning_knows() -> None:
             assert actuator.effort_limit() == parameters.force
 
 
-def pushed(cell: Cell, body: RigidBody, *force: float) -> None:
+def pushed(cell, body, *force):
     """Pushes a body (N) from now on."""
     push = ExternallyAppliedSpatialForce()
     push.body_index = body.index()
@@ -111,7 +109,7 @@ def pushed(cell: Cell, body: RigidBody, *force: float) -> None:
 
 
 @pytest.mark.parametrize("time_step", [0.001, 0.005, 0.01])
-def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
+def test_what_the_wrist_feels_is_contact_alone(time_step):
     """It goes as fast as it does to a grasp, and weighs 1.5 kg."""
     cell = Cell(time_step=time_step)
     wrist = cell.gripper.carrier
@@ -145,12 +143,12 @@ def test_what_the_wrist_feels_is_contact_alone(time_step: float) -> None:
         start, end = end, start
 
 
-def outlines(cell: Cell) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
+def outlines(cell):
     """Lower and upper corners of all collision shapes, in the base frame."""
     inspector = cell.scene_graph.model_inspector()
     plant, base = cell.plant, cell.gripper.base
     context = plant.CreateDefaultContext()
-    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    found = {}
     for index in plant.GetBodyIndices(cell.gripper.finger_instance):
         body = plant.get_body(index)
         X_BL = base.EvalPoseInWorld(context).inverse() @ body.EvalPoseInWorld(
@@ -172,7 +170,7 @@ def outlines(cell: Cell) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
     return found
 
 
-def test_it_touches_nothing_that_planning_would_not(alone: Cell) -> None:
+def test_it_touches_nothing_that_planning_would_not(alone):
     geometry = load_gripper_geometry()
     for name, boxes in outlines(alone).items():
         closing = {"left_finger": -1, "right_finger": 1}.get(name, 0)
@@ -194,7 +192,7 @@ def test_it_touches_nothing_that_planning_would_not(alone: Cell) -> None:
         )
 
 
-def test_pads_are_where_and_as_large_as_planning_has_them(alone: Cell) -> None:
+def test_pads_are_where_and_as_large_as_planning_has_them(alone):
     inspector = alone.scene_graph.model_inspector()
     parameters = GripperParameters()
     gap = []
@@ -219,7 +217,7 @@ def test_pads_are_where_and_as_large_as_planning_has_them(alone: Cell) -> None:
     assert sum(gap) == pytest.approx(parameters.opening)
 
 
-def test_typed_access(alone: Cell) -> None:
+def test_typed_access(alone):
     gripper, plant = alone.gripper, alone.plant
     geometry = load_gripper_geometry()
     np.testing.assert_allclose(gripper.X_BJ, geometry.X_BJ, atol=1e-12)
@@ -242,7 +240,7 @@ def test_typed_access(alone: Cell) -> None:
     np.testing.assert_allclose(gripper.carrier.limits.acceleration[:3], 11.0)
 
 
-def test_it_stays_where_it_is() -> None:
+def test_it_stays_where_it_is():
     cell = Cell()
     cell.advance(0.3)
     np.testing.assert_allclose(cell.wrist, cell.gripper.carrier.home, atol=1e-6)
@@ -250,7 +248,7 @@ def test_it_stays_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("carrier", CARRIERS)
-def test_at_home_the_camera_does_not_see_it(carrier: str) -> None:
+def test_at_home_the_camera_does_not_see_it(carrier):
     cell = Cell(camera=True, carrier=carrier)
     gripper, plant = cell.gripper, cell.plant
     labels = [
@@ -264,7 +262,7 @@ def test_at_home_the_camera_does_not_see_it(carrier: str) -> None:
     assert np.isin(port.Eval(cell.context).data, labels).any()
 
 
-def test_its_fingers_are_one() -> None:
+def test_its_fingers_are_one():
     """What pushes on one moves both."""
     cell = Cell()
     cell.fix("fingers", np.array([0.01, 0.01, 0, 0]))
@@ -278,7 +276,7 @@ def test_its_fingers_are_one() -> None:
     assert cell.fingers[0] == pytest.approx(cell.fingers[1], abs=1e-5)
 
 
-def test_its_forces_are_limited() -> None:
+def test_its_forces_are_limited():
     cell = Cell(brick(0.2))
     cell.at(jaw_at(0.02))
     cell.fix("fingers", np.array([0.5, 0.5, 0, 0]))
@@ -294,7 +292,7 @@ def test_its_forces_are_limited() -> None:
     ("force", "mass", "holds"),
     [(20.0, 0.3, True), (3.5, 0.3, True), (2.4, 0.3, False)],
 )
-def test_what_friction_can_hold(force: float, mass: float, holds: bool) -> None:
+def test_what_friction_can_hold(force, mass, holds):
     """Two pads of friction ½ hold as much as each squeezes: 2.94 N here."""
     cell = Cell(brick(mass))
     cell.at(jaw_at(0.015))
@@ -309,7 +307,7 @@ def test_what_friction_can_hold(force: float, mass: float, holds: bool) -> None:
         assert lifted < 0.06
 
 
-def test_it_lifts_the_thin_target_with_full_force() -> None:
+def test_it_lifts_the_thin_target_with_full_force():
     cell = Cell(target_model("box_2to1"))
     cell.at(jaw_at(0.0035))
     cell.close(20.0)
