@@ -1,4 +1,4 @@
-"""What the gripper's tests share: systems with fixed inputs, and objects."""
+"""What the gripper's tests share: systems with fixed inputs, and a bin."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -7,25 +7,27 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from tests.poses import at, downwards
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
+from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
 from xray_drake.gripper.yumi import add_gripper
-from xray_drake.messages import GripperMode
+from xray_drake.messages import Grasp, GraspKind, GripperMode, SearchAction
 from xray_drake.scene.cameras import add_camera, nominal_camera
 from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.scene.plant import (
-    TOTE_POSITION,
-    TOTE_SIZE,
+    BIN_WALL_HEIGHT,
     add_bin,
-    add_object,
     add_objects,
     add_plant,
     default_plant_config,
+    inside_tote,
 )
 from xray_drake.scene.shapes import box
 
 STEP = 0.005
+"""Of the plant, s."""
 
 
 def block(size, mass, name="brick"):
@@ -35,21 +37,21 @@ def block(size, mass, name="brick"):
     )
 
 
-def downwards(*p_WG):
-    """A pose at a point whose z axis points down."""
-    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WG[:3, 3] = p_WG
-    return X_WG
+def take(kind, name, p_WG, width=0.0, number=1):
+    """An action: grasp an object from above at a point."""
+    X_WG = downwards(*p_WG)
+    grasp = Grasp(kind, name, X_WG, X_WG, width)
+    return SearchAction(number=number, grasp=grasp)
 
 
-def in_tote(p_W):
-    away = np.abs(p_W[:2] - TOTE_POSITION[:2])
-    return bool((away < TOTE_SIZE[0] / 2).all() and 0 < p_W[2] < TOTE_SIZE[2])
+def take_brick(kind=GraspKind.JAW, number=1, z=0.02):
+    width = 0.03 if kind is GraspKind.JAW else 0.0
+    return take(kind, "brick", (0.05, -0.03, z), width, number)
 
 
 def make_gripper(carrier="wrist"):
     """The gripper in a plant of its own."""
-    plant = MultibodyPlant(0.005)
+    plant = MultibodyPlant(STEP)
     gripper = add_gripper(plant, carrier=carrier)
     plant.Finalize()
     return gripper
@@ -75,159 +77,176 @@ class Alone:
         return self.system.GetOutputPort(port).Eval(self.context)
 
     def advance_to(self, time):
-        """Advances, and handles the events that are due at ``time``.
-
-        Returns:
-            The first output.
-        """
+        """Advances; handles the events due at ``time``; the first output."""
         self.simulator.AdvanceTo(time)
         self.simulator.AdvancePendingEvents()
         return self.system.get_output_port(0).Eval(self.context)
 
 
-def connect_body(builder, plant, system):
-    """Connects what looks at bodies and pulls at them to its plant."""
-    for name in ("body_poses", "body_spatial_velocities"):
-        builder.Connect(plant.GetOutputPort(name), system.GetInputPort(name))
-    builder.Connect(
-        system.GetOutputPort("applied_spatial_force"),
-        plant.get_applied_spatial_force_input_port(),
+def controller_alone(gripper, action):
+    """The controller of a gripper that does not move."""
+    return Alone(
+        GripperController(gripper=gripper),
+        carrier_state=np.r_[gripper.carrier.home, 0 * gripper.carrier.home],
+        finger_state=np.zeros(4),
+        cup_state=CupState(),
+        action=action,
     )
 
 
-class TransferCell:
-    """A bin, a tote, objects, and a gripper that moves them.
+class BinCell:
+    """A bin, a tote, objects, and the gripper on a carrier, if there is one.
 
-    Subclasses add a gripper to ``builder``, and then :meth:`build`.
+    Objects lie at (0.05, 0.02) m, or where ``poses`` says. Subclasses add to
+    ``builder``, and then :meth:`build`.
     """
 
-    def __init__(self, poses, *models):
+    def __init__(self, *models, poses=None, carrier="", **config):
         self.builder = DiagramBuilder()
-        self.plant, self.scene_graph = add_plant(
-            self.builder, default_plant_config()
-        )
+        plant_config = default_plant_config()
+        for name, value in config.items():
+            setattr(plant_config, name, value)
+        self.plant, self.scene_graph = add_plant(self.builder, plant_config)
         add_bin(self.plant, with_tote=True)
         items = add_objects(self.plant, models)
         for item in items:
-            item.joint.SetDefaultPose(RigidTransform(poses[item.name]))
+            X_WO = at(0.05, 0.02, item.model.extents[2] / 2)
+            X_WO = (poses or {}).get(item.name, X_WO)
+            item.joint.SetDefaultPose(RigidTransform(X_WO))
         self.items = {item.name: item for item in items}
         self.bodies = {item.name: int(item.body.index()) for item in items}
+        if carrier:
+            self.gripper = add_gripper(self.plant, carrier=carrier)
+            add_grip_surfaces(self.plant, self.scene_graph, self.gripper, items)
+        self.plant.Finalize()
 
-    def build(self, gripper):
-        self.gripper = gripper
-        self.builder.ExportInput(gripper.GetInputPort("action"), "action")
+    def connect(self, system):
+        """Connects what looks at bodies and pulls at them to the plant."""
+        builder, plant = self.builder, self.plant
+        for name in ("body_poses", "body_spatial_velocities"):
+            builder.Connect(
+                plant.GetOutputPort(name), system.GetInputPort(name)
+            )
+        builder.Connect(
+            system.GetOutputPort("applied_spatial_force"),
+            plant.get_applied_spatial_force_input_port(),
+        )
+
+    def add_cup(self):
+        cup = self.builder.AddSystem(
+            SuctionCup(
+                objects=[item.model for item in self.items.values()],
+                bodies=self.bodies,
+                gripper=int(self.gripper.base.index()),
+                X_BC=self.gripper.X_BC,
+            )
+        )
+        self.connect(cup)
+        return cup
+
+    def build(self):
         self.diagram = self.builder.Build()
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
 
-    def command(self, action):
-        self.diagram.GetInputPort("action").FixValue(
-            self.context, AbstractValue.Make(action)
-        )
-
-    def pose(self, name):
-        context = self.plant.GetMyContextFromRoot(self.context)
-        return self.items[name].body.EvalPoseInWorld(context).GetAsMatrix4()
-
-    @property
-    def status(self):
-        return self.gripper.GetOutputPort("status").Eval(
-            self.gripper.GetMyContextFromRoot(self.context)
+    def fix(self, port, value):
+        plain = isinstance(value, np.ndarray)
+        self.diagram.GetInputPort(port).FixValue(
+            self.context, value if plain else AbstractValue.Make(value)
         )
 
     def advance(self, time):
         self.simulator.AdvanceTo(self.context.get_time() + time)
-        return self.status
+
+    @property
+    def plant_context(self):
+        return self.plant.GetMyMutableContextFromRoot(self.context)
+
+    def pose(self, name):
+        body = self.items[name].body
+        return body.EvalPoseInWorld(self.plant_context).GetAsMatrix4()
+
+    def height(self, name):
+        return float(self.pose(name)[2, 3])
+
+
+class TransferCell(BinCell):
+    """A cell in which a system moves objects; see :meth:`build`."""
+
+    def build(self, system):
+        self.system = system
+        self.builder.ExportInput(system.GetInputPort("action"), "action")
+        super().build()
+
+    @property
+    def status(self):
+        return self.system.GetOutputPort("status").Eval(
+            self.system.GetMyContextFromRoot(self.context)
+        )
 
     def run(self, action, limit=8.0):
         """Runs an action to its end; returns the object's way, (n, 3)."""
-        self.command(action)
+        self.fix("action", action)
         way = []
         end = self.context.get_time() + limit
         while True:
-            status = self.advance(0.05)
+            self.advance(0.05)
             way.append(self.pose(action.grasp.object)[:3, 3])
-            done = status.mode is GripperMode.IDLE
-            if done and status.number == action.number:
+            done = self.status.mode is GripperMode.IDLE
+            if done and self.status.number == action.number:
                 return np.array(way)
             assert self.context.get_time() < end
+
+
+def assert_brought_to_the_tote(way):
+    """It lies there, and over the walls it was 5 cm clear of them."""
+    assert inside_tote(way[-1])
+    over = (way[:, 0] > 0.23) & (way[:, 0] < 0.29)
+    assert over.any()
+    assert way[over, 2].min() > BIN_WALL_HEIGHT + 0.05
 
 
 class ContactCell(TransferCell):
     """Gripper, cup and controller on a plant with one object."""
 
     def __init__(self, model, carrier="wrist"):
-        X_WO = np.eye(4)
-        X_WO[:3, 3] = 0.05, 0.02, model.extents[2] / 2
-        super().__init__({model.name: X_WO}, model)
-        builder, plant = self.builder, self.plant
-        gripper = add_gripper(plant, carrier=carrier)
-        add_grip_surfaces(plant, self.scene_graph, gripper, self.items.values())
-        plant.Finalize()
-        cup = builder.AddSystem(
-            SuctionCup(
-                objects=[model],
-                bodies=self.bodies,
-                gripper=int(gripper.base.index()),
-                X_BC=gripper.X_BC,
-            )
-        )
-        connect_body(builder, plant, cup)
-        controller = builder.AddSystem(GripperController(gripper=gripper))
+        super().__init__(model, carrier=carrier)
+        gripper, connect = self.gripper, self.builder.Connect
+        cup = self.add_cup()
+        controller = self.builder.AddSystem(GripperController(gripper=gripper))
         for name, instance in (
             ("carrier", gripper.carrier_instance),
             ("finger", gripper.finger_instance),
         ):
-            builder.Connect(
-                plant.get_state_output_port(instance),
+            connect(
+                self.plant.get_state_output_port(instance),
                 controller.GetInputPort(f"{name}_state"),
             )
-            builder.Connect(
+            connect(
                 controller.GetOutputPort(f"{name}_desired_state"),
-                plant.get_desired_state_input_port(instance),
+                self.plant.get_desired_state_input_port(instance),
             )
-        for source, output, drain, name in (
-            (cup, "state", controller, "cup_state"),
-            (controller, "suction", cup, "suction"),
-        ):
-            builder.Connect(
-                source.GetOutputPort(output), drain.GetInputPort(name)
-            )
+        connect(
+            cup.GetOutputPort("state"), controller.GetInputPort("cup_state")
+        )
+        connect(
+            controller.GetOutputPort("suction"), cup.GetInputPort("suction")
+        )
         self.build(controller)
 
 
-class DrivenCell:
+class DrivenCell(BinCell):
     """The gripper over the bin, its desired state given by hand.
 
     Inputs are ``wrist``, ``fingers`` and ``force``, or, with a cup,
-    ``suction``. Objects lie at (0.05, 0.02) m.
+    ``suction``; with a camera there is an output ``label``.
     """
 
     def __init__(
-        self,
-        *models,
-        cup=False,
-        camera=False,
-        carrier="wrist",
-        time_step=STEP,
-        sampled_ports=True,
+        self, *models, cup=False, camera=False, carrier="wrist", **config
     ):
-        builder = DiagramBuilder()
-        config = default_plant_config()
-        config.time_step = time_step
-        config.use_sampled_output_ports = sampled_ports
-        plant, scene_graph = add_plant(builder, config)
-        add_bin(plant)
-        gripper = add_gripper(plant, carrier=carrier)
-        self.items = {model.name: add_object(plant, model) for model in models}
-        for item in self.items.values():
-            height = item.model.extents[2] / 2
-            item.joint.SetDefaultPose(RigidTransform([0.05, 0.02, height]))
-        add_grip_surfaces(plant, scene_graph, gripper, self.items.values())
-        plant.Finalize()
-        if camera:
-            sensor, _ = add_camera(builder, scene_graph, nominal_camera())
-            builder.ExportOutput(sensor.label_image_output_port(), "label")
+        super().__init__(*models, carrier=carrier, **config)
+        builder, plant, gripper = self.builder, self.plant, self.gripper
         for name, instance in (
             ("wrist", gripper.carrier_instance),
             ("fingers", gripper.finger_instance),
@@ -238,32 +257,19 @@ class DrivenCell:
             builder.ExportOutput(
                 plant.get_net_actuation_output_port(instance), f"{name}_effort"
             )
+        if camera:
+            sensor, _ = add_camera(builder, self.scene_graph, nominal_camera())
+            builder.ExportOutput(sensor.label_image_output_port(), "label")
         if cup:
-            bodies = {n: int(i.body.index()) for n, i in self.items.items()}
-            self.cup = builder.AddSystem(
-                SuctionCup(
-                    objects=models,
-                    bodies=bodies,
-                    gripper=int(gripper.base.index()),
-                    X_BC=gripper.X_BC,
-                )
-            )
-            connect_body(builder, plant, self.cup)
+            self.cup = self.add_cup()
             builder.ExportInput(self.cup.GetInputPort("suction"), "suction")
         else:
             builder.ExportInput(
                 plant.get_applied_spatial_force_input_port(), "force"
             )
-        self.plant, self.scene_graph = plant, scene_graph
-        self.gripper = gripper
-        self.diagram = builder.Build()
-        self.simulator = Simulator(self.diagram)
-        self.context = self.simulator.get_mutable_context()
+        self.build()
         self.want(gripper.carrier.home)
         self.fix("fingers", np.zeros(4))
-
-    def fix(self, port, value):
-        self.diagram.GetInputPort(port).FixValue(self.context, value)
 
     def want(self, q, v=None):
         """Sets the wrist's desired state."""
@@ -272,18 +278,12 @@ class DrivenCell:
 
     def at(self, X_WG, X_BG=None):
         """Puts a frame of the gripper, by default the jaw, at a pose."""
-        gripper = self.gripper
+        gripper, carrier = self.gripper, self.gripper.carrier
         X_GB = np.linalg.inv(gripper.X_BJ if X_BG is None else X_BG)
-        carrier = gripper.carrier
         self.want(carrier.along([X_WG @ X_GB], near=carrier.home)[0])
         self.plant.SetPositions(
-            self.plant.GetMyMutableContextFromRoot(self.context),
-            gripper.carrier_instance,
-            self.q,
+            self.plant_context, gripper.carrier_instance, self.q
         )
-
-    def advance(self, time):
-        self.simulator.AdvanceTo(self.context.get_time() + time)
 
     def move(self, way, duration):
         """Moves the wrist's joints, smoothly, and waits a moment."""
@@ -296,14 +296,5 @@ class DrivenCell:
         self.want(start + way)
         self.advance(0.2)
 
-    @property
-    def plant_context(self):
-        return self.plant.GetMyContextFromRoot(self.context)
-
     def positions(self, instance):
         return self.plant.GetPositions(self.plant_context, instance)
-
-    def height(self, name):
-        body = self.items[name].body
-        pose = self.plant.EvalBodyPoseInWorld(self.plant_context, body)
-        return float(pose.translation()[2])

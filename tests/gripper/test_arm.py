@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.gripper.cells import ContactCell, in_tote, make_gripper
-from tests.gripper.test_contact import CLOSE, WHOLE_WAY, Script
-from tests.gripper.test_contact import take as take_brick
-from tests.gripper.test_controller import alone, take
-from xray_drake.gripper.actuation.contact import ExecutionConfig
+from tests.gripper.cells import (
+    controller_alone,
+    make_gripper,
+    take,
+    take_brick,
+)
+from tests.gripper.test_contact import Script, assert_it_goes_down_and_home
+from tests.poses import at, downwards
 from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
 from xray_drake.messages import GraspKind, Outcome
 from xray_drake.scene.plant import TOTE_POSITION
-from xray_drake.scene.targets import target_model
-
-LIFT = 0.2
 
 
 @pytest.fixture(scope="module")
@@ -30,41 +30,27 @@ def arm():
     return Arm()
 
 
-def down(x, y, z, yaw):
-    """The tool's pose, pointing down."""
-    X_WT = np.eye(4)
-    X_WT[:3, :3] = Rotation.from_euler("ZX", [yaw, np.pi]).as_matrix()
-    X_WT[:3, 3] = x, y, z
-    return X_WT
-
-
 def grasps(number):
     """Poses of the tool over the middle of the bin."""
     rng = np.random.default_rng(3)
-    return [
-        down(*rng.uniform([-0.15, -0.1, 0.13, -3.0], [0.1, 0.1, 0.18, 3.0]))
-        for _ in range(number)
-    ]
+    low, high = [-0.15, -0.1, 0.13, -3.0], [0.1, 0.1, 0.18, 3.0]
+    return [downwards(*rng.uniform(low, high)) for _ in range(number)]
 
 
-def higher(X_WT, by=LIFT):
-    X_WT = np.array(X_WT)
-    X_WT[2, 3] += by
-    return X_WT
+LOW = grasps(1)[0]
+
+
+def higher(X_WT, by=0.2):
+    return at(0, 0, by) @ X_WT
 
 
 @pytest.mark.parametrize("X_WT", grasps(6))
-def test_joints_give_the_pose_they_are_asked_for(arm, X_WT):
-    q = arm.along([X_WT], near=arm.home)[0]
-    np.testing.assert_allclose(arm.pose(q), X_WT, atol=1e-6)
-    assert np.all((arm.limits.lower <= q) & (q <= arm.limits.upper))
-    assert arm.cell.is_clear(q)
-
-
-@pytest.mark.parametrize("X_WT", grasps(4))
-def test_it_lifts_straight_up(arm, X_WT):
+def test_it_lifts_straight_up_from_a_pose_asked_for(arm, X_WT):
     low, high = arm.along([X_WT, higher(X_WT)], near=arm.home)
+    np.testing.assert_allclose(arm.pose(low), X_WT, atol=1e-6)
     np.testing.assert_allclose(arm.pose(high), higher(X_WT), atol=1e-6)
+    assert np.all((arm.limits.lower <= low) & (low <= arm.limits.upper))
+    assert arm.cell.is_clear(low)
     path = arm.path(low, [Leg(high, 0.3)], 2.0)
     np.testing.assert_allclose(path.end, high, atol=1e-9)
     heights = []
@@ -78,7 +64,7 @@ def test_it_lifts_straight_up(arm, X_WT):
 
 
 def test_paths_keep_the_limits_and_do_not_jump(arm):
-    low, high = arm.along([grasps(1)[0], higher(grasps(1)[0])], near=arm.home)
+    low, high = arm.along([LOW, higher(LOW)], near=arm.home)
     legs = [
         Leg(high, 0.8, free=True),
         Leg(low, 0.15),
@@ -107,7 +93,7 @@ def test_paths_keep_the_limits_and_do_not_jump(arm):
 
 
 def test_it_carries_level_and_round_its_base(arm):
-    _, high = arm.along([grasps(1)[0], higher(grasps(1)[0])], near=arm.home)
+    _, high = arm.along([LOW, higher(LOW)], near=arm.home)
     place = np.array(TOTE_POSITION[:2])
     there = arm.over(high, np.array([0, 0, 0.1142]), place, lowest=0.15)
     np.testing.assert_allclose(arm.pose(there)[:2, 3], place, atol=1e-6)
@@ -121,10 +107,9 @@ def test_it_carries_level_and_round_its_base(arm):
 
 def test_out_of_reach_is_said_in_a_line(arm):
     with pytest.raises(ReachError, match=r"^out of the arm's reach: tool at"):
-        arm.along([down(-0.6, 0.0, 0.2, 0.0)], near=arm.home)
-    low = grasps(1)[0]
+        arm.along([downwards(-0.6, 0.0, 0.2)], near=arm.home)
     with pytest.raises(ReachError, match="straight on from the tool at"):
-        arm.along([low, higher(low, 0.8)], near=arm.home)
+        arm.along([LOW, higher(LOW, 0.8)], near=arm.home)
     with pytest.raises(ReachError, match=r"carry it over \(2\.00, 0\.00\) m"):
         arm.over(
             arm.home, np.zeros(3), np.array([2.0, 0.0]), lowest=arm.highest
@@ -138,7 +123,7 @@ def test_it_goes_as_high_as_it_can(arm):
 
 
 def test_force_is_without_what_accelerates_the_arm(arm):
-    q = arm.along(grasps(1), near=arm.home)[0]
+    q = arm.along([LOW], near=arm.home)[0]
     press = np.array([0.0, 0.0, -5.0])
     torque = arm.cell.jacobian(q)[3:].T @ press
     acceleration = np.full(7, 0.7)
@@ -164,9 +149,9 @@ def test_two_contexts_of_one_controller_take_turns(gripper):
     times = 0.1 * np.arange(1, 8)
     singly = []
     for action in actions:
-        controller = alone(gripper, action)
+        controller = controller_alone(gripper, action)
         singly.append([desired(controller, time) for time in times])
-    both = [alone(gripper, action) for action in actions]
+    both = [controller_alone(gripper, action) for action in actions]
     turns = [[desired(one, time) for one in both] for time in times]
     np.testing.assert_array_equal(np.swapaxes(turns, 0, 1), singly)
     assert not np.array_equal(singly[0], singly[1])
@@ -175,28 +160,5 @@ def test_two_contexts_of_one_controller_take_turns(gripper):
 def test_a_grasp_from_start_to_end(gripper):
     script = Script(gripper)
     status = script.run(take_brick())
-    assert script.stages == WHOLE_WAY
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
-    lowest = np.array(take_brick().grasp.X_WG)
-    lowest[2, 3] -= ExecutionConfig().jaw_overtravel
-    np.testing.assert_allclose(script.tool(CLOSE), lowest, atol=1e-5)
-    np.testing.assert_allclose(
-        script.way[-1][3], gripper.carrier.home, atol=1e-6
-    )
-
-
-def test_a_grasp_out_of_reach_is_not_tried(gripper):
-    script = Script(gripper)
-    status = script.run(take_brick(z=-0.4))
-    assert status.outcome is Outcome.FAILED
-    assert status.reason.startswith("out of the arm's reach: ")
-    assert len(script.stages) == 1
-
-
-def test_by_contact_it_brings_an_object_to_the_tote():
-    model = target_model("box_2to1")
-    cell = ContactCell(model, carrier="arm")
-    action = take(GraspKind.JAW, model.name, (0.05, 0.02, 0.0035), 0.0212)
-    way = cell.run(action, limit=20.0)
-    assert (cell.status.outcome, cell.status.reason) == (Outcome.LIFTED, "")
-    assert in_tote(way[-1])
+    assert_it_goes_down_and_home(script)

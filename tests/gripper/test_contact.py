@@ -1,12 +1,11 @@
 """The state machine against a scripted gripper, without a plant."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.gripper.cells import downwards, make_gripper
+from tests.gripper.cells import make_gripper, take_brick
 from xray_drake.gripper.actuation.contact import (
     ContactActuation,
     ExecutionConfig,
@@ -16,13 +15,7 @@ from xray_drake.gripper.actuation.contact import (
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.transfer import Phase, Transfer
-from xray_drake.messages import (
-    Grasp,
-    GraspKind,
-    GripperMode,
-    Outcome,
-    SearchAction,
-)
+from xray_drake.messages import GraspKind, GripperMode, Outcome, SearchAction
 from xray_drake.scene.plant import TOTE_POSITION
 
 PERIOD = 0.01
@@ -30,15 +23,11 @@ CONFIG = ExecutionConfig()
 WIDTH = 0.03
 
 DESCEND, CLOSE = Step.DESCEND, Step.CLOSE
+ON_AND_UP = [Phase.APPROACH, DESCEND, CLOSE, Phase.LIFT, Phase.CHECK]
+TO_THE_TOTE = [Phase.CARRY, Phase.LOWER, Phase.RELEASE]
 WHOLE_WAY = [
-    Phase.APPROACH,
-    DESCEND,
-    CLOSE,
-    Phase.LIFT,
-    Phase.CHECK,
-    Phase.CARRY,
-    Phase.LOWER,
-    Phase.RELEASE,
+    *ON_AND_UP,
+    *TO_THE_TOTE,
     Phase.HOME,
     Phase.SETTLE,
     Phase.IDLE,
@@ -50,14 +39,6 @@ def gripper():
     return make_gripper()
 
 
-def take(kind=GraspKind.JAW, number=1, z=0.02):
-    X_WG = downwards(0.05, -0.03, z)
-    width = WIDTH if kind is GraspKind.JAW else 0.0
-    return SearchAction(
-        number=number, grasp=Grasp(kind, "brick", X_WG, X_WG, width)
-    )
-
-
 def stage(state):
     """The phase, or the step of the grasp."""
     return state.step if state.phase is Phase.GRASP else state.phase
@@ -67,22 +48,21 @@ class Script:
     """A gripper that goes where it is told, unless the script says else.
 
     ``width`` of what is between the fingers; ``vacuum`` with suction on;
-    ``push`` on the wrist, N (3,). Each by the stage and the time in it, and the
+    ``push`` up on the wrist, N. Each by the stage and the time in it, and the
     push by the flange's height, too.
     """
 
-    def __init__(self, gripper, config=CONFIG):
+    def __init__(self, gripper, config=CONFIG, **script):
         self.gripper = gripper
         actuation = ContactActuation(gripper, config, period=PERIOD)
         self.transfer = Transfer(actuation)
         self.state = actuation.initial()
         self.time = 0.0
-        self.width: Callable[[Phase | Step, float], float] = lambda at, t: WIDTH
-        self.vacuum: Callable[[Phase | Step, float], float] = lambda at, t: 0.0
-        self.push: Callable[[Phase | Step, float, float], np.ndarray] = (
-            lambda at, t, z: np.zeros(3)
-        )
+        self.width = lambda at, t: WIDTH
+        self.vacuum = lambda at, t: 0.0
+        self.push = lambda at, t, z: 0.0
         self.why = ""
+        vars(self).update(script)
         self.way = []
 
     def step(self, action):
@@ -91,7 +71,7 @@ class Script:
         since = self.time - before.since
         desired, _ = before.path.sample(self.time)
         lag, still = np.zeros(len(desired)), np.zeros(len(desired))
-        lag[:3] = self.push(at, since, float(desired[2]))
+        lag[2] = self.push(at, since, float(desired[2]))
         joints = desired + lag / self.gripper.carrier.limits.stiffness
         shut = self.gripper.finger_travel - self.width(at, since) / 2
         closing = at is not Phase.APPROACH
@@ -128,20 +108,30 @@ class Script:
                 found.append(stage(state))
         return found
 
-    def states(self, at):
-        return [state for _, state, _, _ in self.way if stage(state) is at]
+    def fingers(self, at):
+        """What is commanded to the fingers in a stage."""
+        return np.array(
+            [state.finger for _, state, *_ in self.way if stage(state) is at]
+        )
 
     def tool(self, at):
         """The (4, 4) pose of the grasp frame when a stage ended."""
         *_, (_, state, _, joints) = (
             entry for entry in self.way if stage(entry[1]) is at
         )
-        frames = {
-            GraspKind.JAW: self.gripper.X_BJ,
-            GraspKind.SUCTION: self.gripper.X_BC,
-        }
-        X_BG = frames[state.action.grasp.kind]
+        jaw = state.action.grasp.kind is GraspKind.JAW
+        X_BG = self.gripper.X_BJ if jaw else self.gripper.X_BC
         return self.gripper.carrier.pose(joints) @ X_BG
+
+
+def assert_it_goes_down_and_home(script):
+    """A jaw closes a little below the grasp: nothing is touched before."""
+    assert script.stages == WHOLE_WAY
+    lowest = np.array(take_brick().grasp.X_WG)
+    lowest[2, 3] -= CONFIG.jaw_overtravel
+    np.testing.assert_allclose(script.tool(CLOSE), lowest, atol=1e-5)
+    home = script.gripper.carrier.home
+    np.testing.assert_allclose(script.way[-1][3], home, atol=1e-6)
 
 
 def test_nothing_happens_without_a_command(gripper):
@@ -156,39 +146,32 @@ def test_nothing_happens_without_a_command(gripper):
 def whole(gripper):
     """A jaw grasp from start to end."""
     script = Script(gripper)
-    status = script.run(take())
+    status = script.run(take_brick())
     assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
     return script
 
 
 def test_a_jaw_grasp_from_start_to_end(whole):
-    assert whole.stages == WHOLE_WAY
+    assert_it_goes_down_and_home(whole)
     assert whole.time < 15.0
-    lowest = np.array(take().grasp.X_WG)
-    lowest[2, 3] -= CONFIG.jaw_overtravel  # nothing is touched before
-    np.testing.assert_allclose(whole.tool(CLOSE), lowest, atol=1e-6)
     over = whole.tool(Phase.CARRY)[:2, 3] - TOTE_POSITION[:2]
     assert np.all(np.abs(over) <= 0.1 + 1e-6)
     down = whole.tool(Phase.LOWER)
     assert down[2, 3] == pytest.approx(0.02 + CONFIG.release_height)
-    np.testing.assert_allclose(
-        whole.way[-1][3], whole.gripper.carrier.home, atol=1e-6
-    )
 
 
 def test_a_suction_grasp_from_start_to_end(gripper):
-    script = Script(gripper)
-    script.width = lambda at, t: 0.0
+    """It stops where it seals, here just before the end of its descent."""
+    script = Script(gripper, width=lambda at, t: 0.0)
     script.vacuum = lambda at, t: {
         Phase.APPROACH: 0.0,
-        DESCEND: float(t > 1.7),  # just before the end
+        DESCEND: float(t > 1.7),
     }.get(at, 1.0)
-    action = take(GraspKind.SUCTION)
+    action = take_brick(GraspKind.SUCTION)
     assert script.run(action).outcome is Outcome.LIFTED
     assert script.stages == WHOLE_WAY
     for _, state, _, _ in script.way:
         assert state.suction == (stage(state) in WHOLE_WAY[1:7])
-    # It stopped where it sealed.
     assert script.tool(CLOSE)[2, 3] > action.grasp.X_WG[2, 3]
 
 
@@ -205,12 +188,10 @@ def test_the_wrist_goes_smoothly_and_within_its_limits(whole):
 def test_the_fingers_open_in_time_and_not_too_fast(whole):
     fingers = np.array([state.finger for _, state, _, _ in whole.way])
     assert np.abs(np.diff(fingers)).max() <= 0.025 * PERIOD + 1e-9
-    descent = [state.finger for state in whole.states(DESCEND)]
-    np.testing.assert_allclose(
-        0.05 - 2 * np.array(descent), WIDTH + 2 * CONFIG.clearance, atol=1e-6
-    )
-    held = [state.finger for state in whole.states(Phase.CARRY)]
-    np.testing.assert_allclose(2000 * (np.array(held) - 0.01), 20.0, atol=1e-6)
+    opening = 0.05 - 2 * whole.fingers(DESCEND)
+    np.testing.assert_allclose(opening, WIDTH + 2 * CONFIG.clearance, atol=1e-6)
+    squeeze = 2000 * (whole.fingers(Phase.CARRY) - 0.01)
+    np.testing.assert_allclose(squeeze, 20.0, atol=1e-6)
     assert fingers[-1] == 0.0
 
 
@@ -236,12 +217,8 @@ def test_what_the_status_says(whole):
 def failure(script, action):
     """Runs an action that fails; the gripper must come home without a jump."""
     status = script.run(action)
-    assert script.stages[-4:] == [
-        Phase.ABORT,
-        Phase.HOME,
-        Phase.SETTLE,
-        Phase.IDLE,
-    ]
+    end = [Phase.ABORT, Phase.HOME, Phase.SETTLE, Phase.IDLE]
+    assert script.stages[-4:] == end
     state = script.state
     assert not state.suction
     assert state.finger == 0.0
@@ -255,75 +232,55 @@ def failure(script, action):
 
 
 def push(at, force, after=0.0):
-    """A vertical force on the wrist, N, from a time in a stage on."""
-    return lambda now, t, z: np.array([0, 0, force * (now is at and t > after)])
+    """A force up on the wrist, N, from a time in a stage on."""
+    return lambda now, t, z: force * (now is at and t > after)
 
 
-NOTHING = {"width": lambda at, t: 0.0}
-SLIPPED_OUT = "it slipped out of the jaw"
-FAILURES = [
-    (GraspKind.JAW, NOTHING, Outcome.FAILED, "the jaw closed on nothing"),
-    (GraspKind.SUCTION, NOTHING, Outcome.FAILED, "the cup does not seal"),
-    (
-        GraspKind.JAW,
-        {"push": push(DESCEND, 8.0, 0.8)},
-        Outcome.FAILED,
-        "before the grasp",
-    ),
-    (
-        GraspKind.SUCTION,
-        {"push": push(DESCEND, 8.0, 0.8), **NOTHING},
-        Outcome.FAILED,
-        "before the grasp",
-    ),
-    *(
-        (
-            GraspKind.JAW,
-            {
-                "width": lambda at, t, phase=phase: (
-                    WIDTH * (at is not phase or t <= 0.2)
-                )
-            },
-            Outcome.SLIPPED,
-            SLIPPED_OUT,
-        )
-        for phase in (Phase.LIFT, Phase.CHECK, Phase.CARRY)
-    ),
-    (
-        GraspKind.SUCTION,
-        {
-            "vacuum": lambda at, t: float(
-                at is CLOSE or (at is Phase.LIFT and t < 0.3)
-            ),
-            "why": "it slides off",
-            **NOTHING,
-        },
-        Outcome.SLIPPED,
-        "it slides off",
-    ),
-    *(
-        (
-            GraspKind.JAW,
-            {"push": push(phase, force)},
-            Outcome.SLIPPED,
-            "the wrist is stuck",
-        )
-        for phase, force in ((Phase.LIFT, -400.0), (Phase.LOWER, 400.0))
-    ),
-    (
-        GraspKind.JAW,
-        {"width": lambda at, t: 0.02 + 0.005 * (round(t / 0.05) % 2)},
-        Outcome.FAILED,
-        "the jaw does not come to rest",
-    ),
-]
+def slip(phase):
+    """The jaw is empty from a time in a phase on."""
+    return lambda at, t: WIDTH * (at is not phase or t <= 0.2)
 
 
-@pytest.mark.parametrize(("kind", "script", "outcome", "reason"), FAILURES)
+def draw_for_a_while(at, t):
+    return float(at is CLOSE or (at is Phase.LIFT and t < 0.3))
+
+
+def closed(at, t):
+    return 0.0
+
+
+def quiver(at, t):
+    return 0.02 + 0.005 * (round(t / 0.05) % 2)
+
+
+JAW, SUCTION = GraspKind.JAW, GraspKind.SUCTION
+FAILED, SLIPPED = Outcome.FAILED, Outcome.SLIPPED
+TOUCHES = {"push": push(DESCEND, 8.0, 0.8)}
+LEAKS = {"vacuum": draw_for_a_while, "why": "it slides off"}
+EMPTY = "it slipped out of the jaw"
+STUCK = "the wrist is stuck"
+
+
+@pytest.mark.parametrize(
+    ("kind", "script", "outcome", "reason"),
+    [
+        (JAW, {"width": closed}, FAILED, "the jaw closed on nothing"),
+        (SUCTION, {}, FAILED, "the cup does not seal"),
+        (JAW, TOUCHES, FAILED, "before the grasp"),
+        (SUCTION, TOUCHES, FAILED, "before the grasp"),
+        (JAW, {"width": slip(Phase.LIFT)}, SLIPPED, EMPTY),
+        (JAW, {"width": slip(Phase.CHECK)}, SLIPPED, EMPTY),
+        (JAW, {"width": slip(Phase.CARRY)}, SLIPPED, EMPTY),
+        (SUCTION, LEAKS, SLIPPED, "it slides off"),
+        (JAW, {"push": push(Phase.LIFT, -400.0)}, SLIPPED, STUCK),
+        (JAW, {"push": push(Phase.LOWER, 400.0)}, SLIPPED, STUCK),
+        (JAW, {"width": quiver}, FAILED, "the jaw does not come to rest"),
+    ],
+)
 def test_a_failure_is_noticed(gripper, kind, script, outcome, reason):
-    run = Script(gripper)
-    vars(run).update(script)
-    status = failure(run, take(kind))
+    script = {"width": closed} | script if kind is SUCTION else script
+    run = Script(gripper, **script)
+    status = failure(run, take_brick(kind))
     assert status.outcome is outcome
     assert reason in status.reason
     if reason == "the cup does not seal":
@@ -332,62 +289,54 @@ def test_a_failure_is_noticed(gripper, kind, script, outcome, reason):
 
 
 def test_touching_a_little_early_is_no_failure(gripper):
-    script = Script(gripper)
     touching = 0.02 + 0.1142 + 0.004
-    script.push = lambda at, t, z: np.array(
-        [0, 0, 8.0 * (at is DESCEND and z < touching)]
-    )
-    assert script.run(take()).outcome is Outcome.LIFTED
+    script = Script(gripper)
+    script.push = lambda at, t, z: 8.0 * (at is DESCEND and z < touching)
+    assert script.run(take_brick()).outcome is Outcome.LIFTED
     early = script.tool(CLOSE)[2, 3] - 0.02
     assert early == pytest.approx(0.004, abs=0.001)
 
 
 def test_what_slips_over_the_tote_has_arrived(gripper):
-    script = Script(gripper)
-    script.width = lambda at, t: 0.0 if at is Phase.LOWER and t > 0.2 else WIDTH
-    assert script.run(take()).outcome is Outcome.LIFTED
-
-
-def impatient(whole, phase):
-    """A script whose time for an action is over in the midst of a phase."""
-    times = [t for t, state, *_ in whole.way if state.phase is phase]
-    give_up = float(np.mean(times)) - whole.state.began
-    return Script(whole.gripper, replace(CONFIG, give_up=give_up))
-
-
-def test_trouble_over_the_tote_is_no_success(whole):
-    status = failure(impatient(whole, Phase.LOWER), take())
-    assert status.outcome is Outcome.SLIPPED
-    assert status.reason.startswith("gave up after")
-
-
-def test_what_has_been_set_down_stays_so(whole):
-    """Though the time is over before the jaw is open."""
-    status = impatient(whole, Phase.RELEASE).run(take())
-    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
-
-
-def test_it_gives_up_within_a_time(gripper):
-    script = Script(gripper, replace(CONFIG, give_up=1.5))
-    assert failure(script, take()).reason == "gave up after 1.5 s"
+    script = Script(gripper, width=slip(Phase.LOWER))
+    assert script.run(take_brick()).outcome is Outcome.LIFTED
 
 
 def test_lowering_stops_at_what_is_below(gripper):
-    script = Script(gripper)
-    script.push = lambda at, t, z: np.array(
-        [0, 0, 5.0 * (at is Phase.LOWER and t > 0.7)]
-    )
-    assert script.run(take()).outcome is Outcome.LIFTED
+    script = Script(gripper, push=push(Phase.LOWER, 5.0, 0.7))
+    assert script.run(take_brick()).outcome is Outcome.LIFTED
     assert script.tool(Phase.RELEASE)[2, 3] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("phase", "outcome"),
+    [
+        (Phase.APPROACH, Outcome.FAILED),
+        (Phase.LOWER, Outcome.SLIPPED),
+        (Phase.RELEASE, Outcome.LIFTED),
+    ],
+    ids=["at first", "over the tote is no success", "once down it stays so"],
+)
+def test_it_gives_up_within_a_time(whole, phase, outcome):
+    """In the midst of a phase."""
+    times = [t for t, state, *_ in whole.way if state.phase is phase]
+    give_up = float(np.mean(times)) - whole.state.began
+    script = Script(whole.gripper, replace(CONFIG, give_up=give_up))
+    if outcome is Outcome.LIFTED:
+        status, reason = script.run(take_brick()), ""
+    else:
+        status = failure(script, take_brick())
+        reason = f"gave up after {give_up:g} s"
+    assert (status.outcome, status.reason) == (outcome, reason)
 
 
 @pytest.mark.parametrize(
     ("action", "outcome", "reason"),
     [
-        (take(z=-0.3), Outcome.FAILED, "out of the wrist's reach: z"),
-        (SearchAction(number=1), Outcome.NO_GRASP, "no candidate has a grasp"),
+        (take_brick(z=-0.3), FAILED, "out of the wrist's reach: z"),
+        (SearchAction(1), Outcome.NO_GRASP, "no candidate has a grasp"),
         (
-            SearchAction(number=1, invalid=True),
+            SearchAction(1, invalid=True),
             Outcome.NO_GRASP,
             "the choice has no grasp, others have",
         ),
@@ -402,8 +351,8 @@ def test_what_is_not_tried(gripper, action, outcome, reason):
 
 def test_the_next_one_goes_to_another_place(gripper):
     script = Script(gripper)
-    script.run(take())
+    script.run(take_brick())
     first = script.tool(Phase.LOWER)
-    script.run(take(number=2))
+    script.run(take_brick(number=2))
     second = script.tool(Phase.LOWER)
     assert np.linalg.norm((first - second)[:2, 3]) > 0.05
