@@ -13,7 +13,8 @@ import pytest
 import trimesh
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from tests.grasping.depth_scenes import at, block, clutter, see
+from tests.grasping.depth_scenes import block, clutter, see
+from tests.poses import at
 from tests.occupancy.scenes import CAMERAS
 from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
 from xray_drake.grasping.planner import GraspPlanner

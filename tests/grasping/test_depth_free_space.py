@@ -136,7 +136,7 @@ def test_against_brute_force(kind, seed):
         assert depth_inside(unknown, X_WG[i], kind, opening[i]) > -0.012
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 1000))
 def test_one_object_more_leaves_no_more_room(seed):
     rng = np.random.default_rng(seed)

@@ -110,7 +110,7 @@ def some_rims(draw):
     return Rims(point, normal, np.full(count, 0.01))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(some_rims())
 def test_pairs_are_those_that_a_double_loop_finds(rims):
     found, too_wide = pair_rims(rims, **LIMITS)
@@ -165,7 +165,7 @@ def close_one(points, normals, X_WG, opening):
     return contacts
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10_000))
 def test_closing_against_points_one_by_one(seed):
     rng = np.random.default_rng(seed)

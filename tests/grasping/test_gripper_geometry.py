@@ -10,13 +10,15 @@ from xray_drake.grasping.gripper_geometry import (
 )
 from xray_drake.resources import models_dir
 
-SDF = models_dir() / "gripper" / "gripper.sdf"
+FOLDER = models_dir() / "gripper"
+FINGERS = "left_finger", "right_finger"
 
 
-@pytest.fixture(scope="module")
-def plant():
+@pytest.fixture(params=["gripper.sdf", "yumi_gripper.sdf"])
+def plant(request):
+    """What planning knows, and what moves: the same gripper."""
     plant = MultibodyPlant(0.0)
-    Parser(plant).AddModels(SDF)
+    Parser(plant).AddModels(FOLDER / request.param)
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("gripper_base"))
     plant.Finalize()
     return plant
@@ -30,11 +32,14 @@ def test_published_figures(plant):
         [0.0087, 0.0123, 0.0492],
         atol=2e-4,
     )
-    gripper = load_gripper_geometry()
-    np.testing.assert_allclose(gripper.X_BJ[:3, 3], [0, 0, 0.1142])
-    for name in ("left_finger_joint", "right_finger_joint"):
-        joint = plant.GetJointByName(name)
-        actuator = plant.GetJointActuatorByName(name)
+    geometry = load_gripper_geometry()
+    np.testing.assert_allclose(geometry.X_BJ[:3, 3], [0, 0, 0.1142])
+    for name, X_BF in (("jaw", geometry.X_BJ), ("cup", geometry.X_BC)):
+        X = plant.GetFrameByName(name).CalcPoseInWorld(context).GetAsMatrix4()
+        np.testing.assert_allclose(X, X_BF, atol=1e-12)
+    for name in FINGERS:
+        joint = plant.GetJointByName(f"{name}_joint")
+        actuator = plant.GetJointActuatorByName(f"{name}_joint")
         assert actuator.effort_limit() == GripperParameters().force
         np.testing.assert_allclose(joint.position_lower_limits(), 0.0)
         np.testing.assert_allclose(joint.position_upper_limits(), 0.025)
@@ -44,13 +49,13 @@ def test_published_figures(plant):
 def test_opening_and_joint_positions(plant, opening):
     context = plant.CreateDefaultContext()
     if opening < 0.05:
-        for name in ("left_finger_joint", "right_finger_joint"):
-            plant.GetJointByName(name).set_translation(
+        for name in FINGERS:
+            plant.GetJointByName(f"{name}_joint").set_translation(
                 context, finger_position(opening)
             )
     y = [
         plant.GetBodyByName(name).EvalPoseInWorld(context).translation()[1]
-        for name in ("left_finger", "right_finger")
+        for name in FINGERS
     ]
     assert y[0] - y[1] - 0.008 == pytest.approx(opening)
 
@@ -66,23 +71,19 @@ def test_boxes_and_frames():
     np.testing.assert_allclose(gripper.X_BC[:3, 2], [1, 0, 0], atol=1e-12)
 
 
+BOX = "<box><size>0.060 0.080 0.070</size></box>"
+POSE = "<pose>0 0 0.035 0 0 0</pose>"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "error"),
     [
-        (
-            "<box><size>0.060 0.080 0.070</size></box>",
-            "<sphere><radius>0.03</radius></sphere>",
-            "boxes and cylinders",
-        ),
-        (
-            "<pose>0 0 0.035 0 0 0</pose>",
-            "<pose>0 0 0.035 0.1 0 0</pose>",
-            "not aligned",
-        ),
+        (BOX, "<sphere><radius>0.03</radius></sphere>", "boxes and cylinders"),
+        (POSE, "<pose>0 0 0.035 0.1 0 0</pose>", "not aligned"),
     ],
 )
 def test_other_shapes_are_refused(tmp_path, old, new, error):
-    path = tmp_path / "gripper.sdf"
-    path.write_text(SDF.read_text().replace(old, new))
+    path, text = tmp_path / "gripper.sdf", (FOLDER / "gripper.sdf").read_text()
+    path.write_text(text.replace(old, new))
     with pytest.raises(ValueError, match=error):
         load_gripper_geometry(path)

@@ -85,7 +85,7 @@ EVIDENCE = pytest.mark.parametrize("known", [ByModels, ByDepth])
         (ByDepth, "low"),
     ],
 )
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(
     x=st.floats(-0.15, 0.15),
     y=st.floats(-0.10, 0.10),

@@ -28,7 +28,7 @@ def outward_normal_of_box(points, extents):
     return normal
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     extents=st.tuples(*[st.floats(0.004, 0.1)] * 3), seed=st.integers(0, 1000)
 )
@@ -104,7 +104,7 @@ def test_samples_follow_from_the_seed(sampler):
     assert not np.array_equal(draw(3), draw(4))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     extents=st.tuples(*[st.floats(0.01, 0.1)] * 3), seed=st.integers(0, 1000)
 )

@@ -28,7 +28,7 @@ def pads(radius=0.003, R=None):
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     friction=st.floats(0.1, 1.0),
     force=st.floats(1.0, 30.0),
@@ -81,7 +81,7 @@ def test_a_wedge_holds_if_its_half_angle_is_within_the_cone(degrees, holds):
     assert (held > 0.1) == holds
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000))
 def test_more_friction_never_holds_less(seed):
     rng = np.random.default_rng(seed)
