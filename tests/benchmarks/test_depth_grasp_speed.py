@@ -14,8 +14,8 @@ import trimesh
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.grasping.depth_scenes import block, clutter, see
-from tests.poses import at
 from tests.occupancy.scenes import CAMERAS
+from tests.poses import at
 from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
 from xray_drake.grasping.planner import GraspPlanner
 
