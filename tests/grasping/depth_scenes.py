@@ -1,27 +1,23 @@
 """Scenes of a few meshes on the bin's floor, and how a camera sees them."""
 
-import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
 from tests.occupancy.brute_force import render
+from tests.poses import at
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.evidence.depth_surface import DepthSurface, observe
-
-
-def at(x, y, z, roll=0.0, pitch=0.0, yaw=0.0):
-    X = np.eye(4)
-    X[:3, :3] = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
-    X[:3, 3] = x, y, z
-    return X
-
-
-def downwards(x, y, z, yaw=0.0):
-    return at(x, y, z, roll=np.pi, yaw=yaw)
+from xray_drake.grasping.evidence.depth_surface import observe
+from xray_drake.scene.object_model import object_from_pieces
 
 
 def block(extents, X_WO):
     return trimesh.creation.box(extents).apply_transform(X_WO)
+
+
+def model_block(name, *extents, density=600.0):
+    """A block whose model is known."""
+    return object_from_pieces(
+        name, [trimesh.creation.box(extents)], density=density
+    )
 
 
 def ball(radius, x, y, z):
@@ -34,13 +30,10 @@ def rod(radius, length, X_WO):
     ).apply_transform(X_WO)
 
 
-def turned(camera, angle):
-    """Returns a camera turned about the world's vertical."""
+def turned(camera, X):
+    """Returns a camera moved by a 4×4 pose."""
     return PinholeCamera(
-        camera.width,
-        camera.height,
-        camera.intrinsics,
-        at(0, 0, 0, yaw=angle) @ camera.X_WC,
+        camera.width, camera.height, camera.intrinsics, X @ camera.X_WC
     )
 
 
@@ -50,7 +43,7 @@ def see(camera, *meshes):
     return depth, label == 0
 
 
-def surface_of(camera, *meshes) -> DepthSurface:
+def surface_of(camera, *meshes):
     depth, mask = see(camera, *meshes)
     surface = observe(depth, mask, camera, min_pixels=10)
     assert surface is not None

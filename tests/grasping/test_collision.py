@@ -1,115 +1,102 @@
 import numpy as np
 import pytest
-import trimesh
 
-from tests.grasping.depth_scenes import at, downwards
+from tests.grasping.depth_scenes import model_block
+from tests.poses import at, downwards
 from xray_drake.grasping.evidence.collision import GraspScene
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
-from xray_drake.scene.object_model import object_from_pieces
 
-FINGER = 0.008
 OPENING = 0.030
-
-
-def block(name, *extents):
-    return object_from_pieces(
-        name, [trimesh.creation.box(extents)], density=500.0
-    )
 
 
 def scene(*objects, **options):
     return GraspScene(objects, gripper=load_gripper_geometry(), **options)
 
 
-@pytest.mark.parametrize(
-    ("gap", "collides"), [(FINGER + 0.001, False), (FINGER - 0.001, True)]
-)
-def test_a_finger_between_two_blocks(gap, collides):
-    """The inner faces of both fingers touch nothing; the outer decide."""
-    s = scene(block("neighbour", 0.04, 0.04, 0.03))
-    near = OPENING / 2 + gap
-    s.set_poses({"neighbour": at(0, near + 0.02, 0.015)})
-    assert s.jaw_collides(downwards(0, 0, 0.005), OPENING) == collides
-    assert s.hit() == (("neighbour",) if collides else ())
+def finger_gap(gap):
+    """A block so far from the jaw's pad at y = 15 mm; a finger has 8 mm."""
+    return (0.04, 0.04, 0.03), at(0, OPENING / 2 + gap + 0.02, 0.015)
+
+
+def held(width):
+    return (0.03, width, 0.03), at(0, 0, 0.015)
+
+
+def post(x, y):
+    """Its edge, or its corner, is beside the cup."""
+    return (0.02, 0.02, 0.02), at(x + 0.01, y + (0.01 if y else 0), 0.02)
+
+
+NOTHING = (0.01, 0.01, 0.01), at(0.2, 0.15, 0.005)
 
 
 @pytest.mark.parametrize(
-    ("width", "collides"), [(OPENING - 0.001, False), (OPENING + 0.001, True)]
+    ("tool", "block", "p_WG", "hit"),
+    [
+        ("jaw", finger_gap(0.009), (0, 0, 0.005), ()),
+        ("jaw", finger_gap(0.007), (0, 0, 0.005), ("it",)),
+        ("jaw", held(OPENING - 0.001), (0, 0, 0.01), ()),
+        ("jaw", held(OPENING + 0.001), (0, 0, 0.01), ("it",)),
+        # The fingers end 3 mm beyond the origin; the cup 2 mm before its lip.
+        ("shut jaw", NOTHING, (0, 0, 0.0035), ()),
+        ("shut jaw", NOTHING, (0, 0, 0.0025), ("bin",)),
+        ("cup", NOTHING, (0, 0, -0.0015), ()),
+        ("cup", NOTHING, (0, 0, -0.0025), ("bin",)),
+        # The wall is at 0.2 m; the body reaches 40 mm to that side, below its
+        # top.
+        ("jaw", NOTHING, (0, 0.159, 0.01), ()),
+        ("jaw", NOTHING, (0, 0.161, 0.01), ("bin",)),
+        ("cup", post(0.014, 0), (0, 0, 0.015), ("it",)),
+        ("cup", post(0.016, 0), (0, 0, 0.015), ()),
+        ("cup", post(0.0115, 0.0115), (0, 0, 0.015), ()),
+    ],
 )
-def test_the_object_between_the_fingers(width, collides):
-    s = scene(block("held", 0.03, width, 0.03))
-    s.set_poses({"held": at(0, 0, 0.015)})
-    X_WG = downwards(0, 0, 0.01)
-    assert s.jaw_collides(X_WG, OPENING) == collides
-    with s.without("held"):
-        assert not s.jaw_collides(X_WG, OPENING)
-    assert s.jaw_collides(X_WG, OPENING) == collides
+def test_what_is_in_the_way(tool, block, p_WG, hit):
+    size, X_WO = block
+    s = scene(model_block("it", *size))
+    s.set_poses({"it": X_WO})
+    X_WG = downwards(*p_WG)
+    if tool == "cup":
+        assert s.suction_collides(X_WG) == bool(hit)
+    else:
+        opening = 0.0 if tool == "shut jaw" else OPENING
+        assert s.jaw_collides(X_WG, opening) == bool(hit)
+    assert s.hit() == hit
 
 
-@pytest.mark.parametrize("tool", ["jaw", "suction"])
 @pytest.mark.parametrize(
     ("distance", "collides"), [(0.10, True), (0.02, False)]
 )
-def test_the_approach_is_swept(tool, distance, collides):
+def test_the_approach_is_swept(distance, collides):
     """An overhang above the gripper's end pose is in the way before it; with
     the cup down, the body's back is 180 mm above the lip."""
-    s = scene(block("roof", 0.05, 0.05, 0.01), approach_distance=distance)
-    s.set_poses({"roof": at(0, 0, 0.17 if tool == "jaw" else 0.22)})
-    if tool == "jaw":
-        assert s.jaw_collides(downwards(0, 0, 0.005), OPENING) == collides
-    else:
-        assert s.suction_collides(downwards(0, 0, 0.01)) == collides
-
-
-@pytest.mark.parametrize("tool", ["jaw", "suction"])
-@pytest.mark.parametrize(
-    ("above", "collides"), [(0.0005, False), (-0.0005, True)]
-)
-def test_the_floor(tool, above, collides):
-    s = scene()
-    s.set_poses({})
-    if tool == "jaw":
-        assert s.jaw_collides(downwards(0, 0, 0.003 + above), 0.0) == collides
-    else:
-        # The cup ends 2 mm before its lip.
-        assert s.suction_collides(downwards(0, 0, -0.002 + above)) == collides
-    assert s.hit() == (("bin",) if collides else ())
-
-
-def test_the_walls():
-    s = scene()
-    s.set_poses({})
-    # Outer face of the finger at y = 15 + 8 mm, wall at 0.2 m; its body
-    # reaches 40 mm to that side, below the wall's top.
-    assert not s.jaw_collides(downwards(0, 0.159, 0.01), OPENING)
-    assert s.jaw_collides(downwards(0, 0.161, 0.01), OPENING)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "collides"),
-    [(0.014, 0, True), (0.016, 0, False), (0.0115, 0.0115, False)],
-)
-def test_the_cup_is_round(x, y, collides):
-    """A post whose edge is beside the cup; its corner may come nearer."""
-    s = scene(block("post", 0.02, 0.02, 0.02))
-    s.set_poses({"post": at(x + 0.01, y + (0.01 if y else 0), 0.02)})
-    assert s.suction_collides(downwards(0, 0, 0.015)) == collides
+    roof = model_block("roof", 0.05, 0.05, 0.01)
+    s = scene(roof, approach_distance=distance)
+    s.set_poses({"roof": at(0, 0, 0.17)})
+    assert s.jaw_collides(downwards(0, 0, 0.005), OPENING) == collides
+    s.set_poses({"roof": at(0, 0, 0.22)})
+    assert s.suction_collides(downwards(0, 0, 0.01)) == collides
 
 
 def test_what_has_no_pose_takes_no_part():
-    s = scene(block("a", 0.05, 0.05, 0.05), block("b", 0.05, 0.05, 0.05))
+    s = scene(*(model_block(name, 0.05, 0.05, 0.05) for name in "ab"))
     X_WG = downwards(0, 0, 0.02)
     s.set_poses({"a": at(0, 0, 0.025), "b": at(0.01, 0, 0.025)})
     assert s.jaw_collides(X_WG, OPENING)
     assert s.hit() == ("a", "b")
-    s.set_poses({"a": at(0.2, 0.1, 0.025)})
-    assert not s.jaw_collides(X_WG, OPENING)
-    s.set_poses({})
-    assert not s.jaw_collides(X_WG, OPENING)
+    with s.without("a"):
+        assert s.jaw_collides(X_WG, OPENING)
+        assert s.hit() == ("b",)
+    assert s.jaw_collides(X_WG, OPENING)
+    assert s.hit() == ("a", "b")
+    for poses in ({"a": at(0.2, 0.1, 0.025)}, {}):
+        s.set_poses(poses)
+        assert not s.jaw_collides(X_WG, OPENING)
 
 
 def test_names_are_checked():
+    a = model_block("a", 0.1, 0.1, 0.1)
     with pytest.raises(ValueError, match="unique"):
-        scene(block("a", 0.1, 0.1, 0.1), block("a", 0.1, 0.1, 0.1))
+        scene(a, a)
     with pytest.raises(KeyError, match="ghost"):
-        scene(block("a", 0.1, 0.1, 0.1)).set_poses({"ghost": np.eye(4)})
+        scene(a).set_poses({"ghost": np.eye(4)})

@@ -4,8 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.grasping.depth_scenes import at, block, clutter, downwards, see
+from tests.grasping.depth_scenes import block, clutter, see
 from tests.occupancy.scenes import CAMERAS
+from tests.poses import at, downwards
 from xray_drake.grasping.evidence.approach_shape import ApproachShape
 from xray_drake.grasping.evidence.free_space import FreeSpace
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
@@ -148,60 +149,60 @@ def test_one_object_more_leaves_no_more_room(seed):
         assert (more <= fewer).all()
 
 
-@pytest.mark.parametrize(("y", "free"), [(0.157, True), (0.159, False)])
-def test_the_walls_are_known_though_not_seen(y, free):
-    """The gripper's body reaches 40 mm aside, below the walls' top, and stays
-    2 mm clear of them."""
-    seen = space(camera=CAMERAS["high"])
-    X_WG = downwards(0, y, 0.03)[None]
-    room = seen.room(GraspKind.JAW, X_WG, np.array([0.03]))
+NOMINAL, TILTED = CAMERAS["nominal"], CAMERAS["tilted"]
+AWAY = float(np.arctan2(TILTED.X_WC[1, 3], TILTED.X_WC[0, 3]))
+LEANT_ON = [block([0.04, 0.04, 0.04], at(0, 0, 0.02, yaw=AWAY))]
+
+
+def between(gap):
+    """Two blocks, the second so far from the jaw's pad at y = 15 mm."""
+    return [
+        block([0.04, 0.02, 0.03], at(0, 0, 0.015)),
+        block([0.04, 0.04, 0.03], at(0, 0.015 + gap + 0.02, 0.015)),
+    ]
+
+
+def beside(side):
+    """A closed jaw whose fingers are 4.5 mm from the leant-on block."""
+    return at(yaw=AWAY) @ downwards(side * 0.0295, 0, 0.0035)
+
+
+@pytest.mark.parametrize(
+    ("camera", "meshes", "X_WG", "opening", "free"),
+    [
+        # The gripper's body reaches 40 mm aside, below the walls' top, and
+        # stays 2 mm clear of them, though they are not seen.
+        (CAMERAS["high"], [], downwards(0, 0.157, 0.03), 0.03, True),
+        (CAMERAS["high"], [], downwards(0, 0.159, 0.03), 0.03, False),
+        (CAMERAS["high"], [], downwards(0, 0.159, 0.03 + 0.07), 0.03, True),
+        # A finger is 8 mm thick; 2 to 3 mm are kept on either side.
+        (NOMINAL, between(0.014), downwards(0, 0, 0.02), 0.03, True),
+        (NOMINAL, between(0.007), downwards(0, 0, 0.02), 0.03, False),
+        # The leaning camera sees one side of the block.
+        (TILTED, LEANT_ON, beside(1.0), 0.0, True),
+        (TILTED, LEANT_ON, beside(-1.0), 0.0, False),
+    ],
+)
+def test_where_a_jaw_has_room(camera, meshes, X_WG, opening, free):
+    seen = space(*meshes, camera=camera)
+    room = seen.room(GraspKind.JAW, X_WG[None], np.array([opening]))
     assert (room[0] >= 0) == free
-    above = downwards(0, y, 0.03 + 0.07)[None]
-    assert seen.room(GraspKind.JAW, above, np.array([0.03]))[0] >= 0
 
 
 @pytest.mark.parametrize(("z", "free"), [(0.0035, True), (-0.002, False)])
 def test_a_noisy_floor_is_no_obstacle(z, free):
-    camera = CAMERAS["nominal"]
     rng = np.random.default_rng(0)
-    depth = see(camera)[0] + rng.normal(scale=0.0004, size=camera.shape)
+    depth = see(NOMINAL)[0] + rng.normal(scale=0.0004, size=NOMINAL.shape)
+    seen = FreeSpace(depth, NOMINAL, SHAPES)
     X_WG = downwards(0.02, 0, z)[None]
-    room = FreeSpace(depth, camera, SHAPES).room(
-        GraspKind.JAW, X_WG, np.array([0.03])
-    )
+    room = seen.room(GraspKind.JAW, X_WG, np.array([0.03]))
     assert (room[0] >= 0) == free
-
-
-@pytest.mark.parametrize(("gap", "free"), [(0.014, True), (0.007, False)])
-def test_a_finger_between_two_blocks(gap, free):
-    """A finger is 8 mm thick; 2 to 3 mm are kept on either side."""
-    near = 0.015 + gap
-    s = space(
-        block([0.04, 0.02, 0.03], at(0, 0, 0.015)),
-        block([0.04, 0.04, 0.03], at(0, near + 0.02, 0.015)),
-        camera=CAMERAS["nominal"],
-    )
-    room = s.room(GraspKind.JAW, downwards(0, 0, 0.02)[None], np.array([0.030]))
-    assert (room[0] >= 0) == free
-
-
-def test_what_hides_behind_an_object_is_taken_as_full():
-    """Fingers 4.5 mm from a block: the leaning camera sees one side."""
-    camera = CAMERAS["tilted"]
-    yaw = np.arctan2(camera.X_WC[1, 3], camera.X_WC[0, 3])
-    s = space(block([0.04, 0.04, 0.04], at(0, 0, 0.02, yaw=yaw)))
-    for side, free in ((1.0, True), (-1.0, False)):
-        x, y = side * 0.0295 * np.array([np.cos(yaw), np.sin(yaw)])
-        X_WG = downwards(x, y, 0.0035, yaw=yaw)[None]
-        room = s.room(GraspKind.JAW, X_WG, np.array([0.0]))
-        assert (room[0] >= 0) == free
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_outside_the_image_is_taken_as_full(kind):
     """The image ends beside one gripper, and another is outside it."""
-    whole = CAMERAS["nominal"]
-    depth = see(whole)[0]
+    whole, depth = NOMINAL, see(NOMINAL)[0]
     top = int(whole.project(np.array([0.0, 0.08, 0.0]))[1])
     part = whole.cropped(slice(top, whole.height), slice(0, whole.width))
     X_WG = np.array([downwards(0, y, 0.02) for y in (0.12, 0.06, -0.06)])
@@ -214,8 +215,4 @@ def test_what_is_outside_the_image_is_taken_as_full(kind):
         np.testing.assert_array_equal(room >= 0, free)
         tips = seen.tips_are_free(kind, X_WG, opening)
         assert tips[0] == free[0]
-
-
-def test_no_poses_have_no_room():
-    none = space().room(GraspKind.JAW, np.zeros((0, 4, 4)), np.zeros(0))
-    assert none.shape == (0,)
+        assert seen.room(kind, X_WG[:0], opening[:0]).shape == (0,)

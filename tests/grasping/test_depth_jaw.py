@@ -1,17 +1,13 @@
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.grasping.depth_scenes import (
-    at,
-    ball,
-    block,
-    downwards,
-    rod,
-    surface_of,
-)
+from tests.grasping.depth_scenes import ball, block, rod, surface_of
 from tests.occupancy.scenes import CAMERAS
+from tests.poses import at, downwards
 from xray_drake.grasping.evidence.rims import (
     Rims,
     close_pads,
@@ -57,24 +53,21 @@ def test_rims_of_a_block_have_the_normals_of_its_sides(name, roll):
 @pytest.mark.parametrize("name", ["nominal", "tilted"])
 def test_rims_of_a_ball_are_its_equator(name):
     center = np.array([-0.05, 0.04, 0.018])
-    rims = find_rims(
-        surface_of(CAMERAS[name], ball(0.018, *center)), friction=0.5
-    )
-    away = rims.point - center
-    away[:, 2] = 0
+    surface = surface_of(CAMERAS[name], ball(0.018, *center))
+    rims = find_rims(surface, friction=0.5)
+    away = (rims.point - center) * [1, 1, 0]
     distance = np.linalg.norm(away, axis=1)
     assert distance.min() > 0.012
-    away /= distance[:, None]
+    error = angles(rims.normal, away / distance[:, None])
     at_equator = distance > 0.0165
     assert at_equator.sum() > 40
-    assert np.percentile(angles(rims.normal, away)[at_equator], 90) < 20
+    assert np.percentile(error[at_equator], 90) < 20
 
 
 def test_a_cup_has_rims_inside_and_outside():
-    outer, inner = rod(0.03, 0.04, at(0, 0, 0.02)), rod(0.026, 0.1, at(0, 0, 0))
+    outer, inner = rod(0.03, 0.04, at(0, 0, 0.02)), rod(0.026, 0.1, at())
     cup = outer.difference(inner, engine="manifold")
-    surface = surface_of(CAMERAS["nominal"], cup)
-    rims = find_rims(surface, friction=0.5)
+    rims = find_rims(surface_of(CAMERAS["nominal"], cup), friction=0.5)
     outwards = np.sum(rims.normal * rims.point, axis=1)
     assert np.count_nonzero(outwards > 0) > 30
     assert np.count_nonzero(outwards < 0) > 30
@@ -82,20 +75,23 @@ def test_a_cup_has_rims_inside_and_outside():
     assert np.count_nonzero(pairs.width < 0.008) > 30
 
 
-def test_walls_go_down_from_their_rims():
-    surface = surface_of(
-        CAMERAS["nominal"], block([0.04, 0.03, 0.02], at(0, 0, 0.01))
-    )
-    points, normals = wall_points(find_rims(surface, friction=0.5))
+def walls_of(*extents, x=0.0):
+    """What is taken for the walls of a block on the floor."""
+    mesh = block(extents, at(x, 0, extents[2] / 2))
+    surface = surface_of(CAMERAS["nominal"], mesh)
+    return wall_points(find_rims(surface, friction=0.5))
+
+
+@pytest.mark.parametrize(
+    ("height", "lowest", "highest"),
+    [(0.02, 0.005, 0.012), (0.005, -1e-3, 0.002)],
+)
+def test_walls_go_down_from_their_rims(height, lowest, highest):
+    points, normals = walls_of(0.04, 0.03, height)
     assert points.shape == normals.shape
-    assert points[:, 2].max() == pytest.approx(0.02, abs=1e-4)
-    assert 0.005 < points[:, 2].min() < 0.012
+    assert points[:, 2].max() == pytest.approx(height, abs=1e-4)
+    assert lowest < points[:, 2].min() < highest
     assert np.abs(normals[:, 2]).max() < 0.2
-    thin = surface_of(
-        CAMERAS["nominal"], block([0.04, 0.03, 0.005], at(0, 0, 0.0025))
-    )
-    points, _ = wall_points(find_rims(thin, friction=0.5))
-    assert -1e-3 < points[:, 2].min() < 0.002
 
 
 @st.composite
@@ -115,26 +111,24 @@ def some_rims(draw):
 def test_pairs_are_those_that_a_double_loop_finds(rims):
     found, too_wide = pair_rims(rims, **LIMITS)
     expected, wide = [], 0
-    for i in range(len(rims)):
-        for j in range(i + 1, len(rims)):
-            between = rims.normal[i] - rims.normal[j]
-            axis = between / np.linalg.norm(between)
-            cone = np.cos(np.arctan(0.5))
-            d = rims.point[i] - rims.point[j]
-            side = np.cross(axis, [0, 0, 1])
-            side /= np.linalg.norm(side)
-            if (
-                rims.normal[i] @ axis >= cone
-                and -rims.normal[j] @ axis >= cone
-                and d @ axis >= 0.002
-                and abs(d @ side) <= 0.004
-                and abs(d @ np.cross(side, axis)) <= 0.012
-                and abs(axis[2]) < 0.95
-            ):
-                if d @ axis > 0.045:
-                    wide += 1
-                    continue
-                expected.append((rims.point[i], rims.point[j], d @ axis))
+    for i, j in combinations(range(len(rims)), 2):
+        between = rims.normal[i] - rims.normal[j]
+        axis = between / np.linalg.norm(between)
+        cone = np.cos(np.arctan(0.5))
+        d = rims.point[i] - rims.point[j]
+        side = np.cross(axis, [0, 0, 1])
+        side /= np.linalg.norm(side)
+        opposite = (
+            rims.normal[i] @ axis >= cone
+            and -rims.normal[j] @ axis >= cone
+            and d @ axis >= 0.002
+            and abs(d @ side) <= 0.004
+            and abs(d @ np.cross(side, axis)) <= 0.012
+            and abs(axis[2]) < 0.95
+        )
+        if opposite and d @ axis <= 0.045:
+            expected.append((rims.point[i], rims.point[j], d @ axis))
+        wide += opposite and d @ axis > 0.045
     assert (len(found), too_wide) == (len(expected), wide)
     for k, (first, second, width) in enumerate(expected):
         np.testing.assert_array_equal(found.first[k], first)
@@ -172,11 +166,9 @@ def test_closing_against_points_one_by_one(seed):
     points = rng.normal(scale=0.008, size=(60, 3))
     normals = rng.normal(size=(60, 3)) + 60 * points * [1, 1, 0]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    turns = rng.uniform(0, 6, 5)
     X_WG = np.array(
-        [
-            downwards(*rng.normal(scale=0.004, size=3), a)
-            for a in rng.uniform(0, 6, 5)
-        ]
+        [downwards(*rng.normal(scale=0.004, size=3), a) for a in turns]
     )
     opening = rng.uniform(0.02, 0.05, 5)
     found = close_pads(points, normals, X_WG, opening, GRIPPER)
@@ -192,18 +184,10 @@ def test_closing_against_points_one_by_one(seed):
 
 
 def test_pads_meet_a_blocks_sides():
-    surface = surface_of(
-        CAMERAS["nominal"], block([0.05, 0.03, 0.02], at(0.02, 0, 0.01))
-    )
-    points, normals = wall_points(find_rims(surface, friction=0.5))
-    X_WG = np.array(
-        [
-            downwards(0.02, 0, 0.013),
-            downwards(0.02, 0, 0.025),
-            downwards(0.07, 0, 0.013),
-        ]
-    )
-    squeeze = close_pads(points, normals, X_WG, np.full(3, 0.04), GRIPPER)
+    places = (0.02, 0, 0.013), (0.02, 0, 0.025), (0.07, 0, 0.013)
+    X_WG = np.array([downwards(*place) for place in places])
+    walls = walls_of(0.05, 0.03, 0.02, x=0.02)
+    squeeze = close_pads(*walls, X_WG, np.full(3, 0.04), GRIPPER)
     assert squeeze.found.tolist() == [True, False, False]
     assert squeeze.width[0] == pytest.approx(0.03, abs=0.002)
     assert np.rad2deg(squeeze.angle[0]) < 12

@@ -1,15 +1,9 @@
 import numpy as np
 import pytest
 
-from tests.grasping.depth_scenes import (
-    at,
-    ball,
-    block,
-    clutter,
-    downwards,
-    surface_of,
-)
+from tests.grasping.depth_scenes import ball, block, clutter, surface_of
 from tests.occupancy.scenes import CAMERAS
+from tests.poses import at, downwards
 from xray_drake.grasping.evidence.depth_suction import seal_on_depth, seals_seen
 from xray_drake.grasping.evidence.sampling import seal_cups
 from xray_drake.grasping.judgement import Lip
@@ -37,21 +31,23 @@ def test_a_plate_is_found_where_the_lip_fits(name, pitch):
     assert not points.roomy[np.abs(p[:, 1]) > 0.008].any()
 
 
-@pytest.mark.parametrize(("radius", "seals"), [(0.030, True), (0.019, False)])
-def test_a_ball_must_be_large(radius, seals):
-    """The lip's normals lean by asin(r / R) from the cup's axis."""
-    surface = surface_of(CAMERAS["nominal"], ball(radius, 0, 0, radius))
-    cup = downwards(0, 0, 2 * radius)[None]
-    seal = seal_on_depth(surface, cup, LIP)
+NARROW = block([0.08, 0.026, 0.01], at(0, 0, 0.005))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "top", "seals"),
+    [
+        # The lip's normals lean by asin(r / R) from the cup's axis.
+        (ball(0.030, 0, 0, 0.030), 0.060, True),
+        (ball(0.019, 0, 0, 0.019), 0.038, False),
+        (NARROW, 0.01, False),
+    ],
+)
+def test_what_is_small_does_not_seal(mesh, top, seals):
+    surface = surface_of(CAMERAS["nominal"], mesh)
+    seal = seal_on_depth(surface, downwards(0, 0, top)[None], LIP)
     assert seal.closed[0] == seals
     assert (len(seals_seen(surface, LIP, count=200)[0]) > 0) == seals
-
-
-def test_a_narrow_plate_is_none():
-    surface = surface_of(
-        CAMERAS["nominal"], block([0.08, 0.026, 0.01], at(0, 0, 0.005))
-    )
-    assert len(seals_seen(surface, LIP, count=200)[0]) == 0
 
 
 def test_how_far_a_cup_is_from_a_plate():

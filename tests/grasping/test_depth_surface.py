@@ -4,14 +4,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tests.grasping.depth_scenes import at, block, see, surface_of
+from tests.grasping.depth_scenes import block, see, surface_of
 from tests.occupancy.scenes import CAMERAS
+from tests.poses import at
 from xray_drake.grasping.evidence.depth_surface import (
     fill_gaps,
     fill_mask,
     observe,
 )
 
+NOMINAL = CAMERAS["nominal"]
 IMAGES = arrays(
     np.float32,
     (6, 9),
@@ -19,15 +21,10 @@ IMAGES = arrays(
 )
 
 
-def readings(row):
-    return {i: d for i, d in enumerate(row) if np.isfinite(d) and d > 0}
-
-
 @given(IMAGES)
 def test_a_gap_gets_the_farther_of_its_rows_next_readings(depth):
-    filled = fill_gaps(depth)
-    for row, result in zip(depth, filled, strict=True):
-        known = readings(row)
+    for row, result in zip(depth, fill_gaps(depth), strict=True):
+        known = {i: d for i, d in enumerate(row) if np.isfinite(d) and d > 0}
         for i, value in enumerate(result):
             left = [j for j in known if j <= i]
             right = [j for j in known if j >= i]
@@ -66,31 +63,33 @@ def test_a_part_of_the_image_shows_the_same_points(name):
     np.testing.assert_allclose(uvz[:, :2], np.stack([u, v], -1), atol=1e-4)
 
 
-def test_too_little_to_see_is_nothing():
-    camera = CAMERAS["nominal"]
-    depth, mask = see(camera, block([0.06, 0.03, 0.02], at(0, 0, 0.01)))
-    assert observe(depth, mask, camera, min_pixels=20) is not None
-    few = np.zeros_like(mask)
-    few[200, 200:203] = True
-    for bad_depth, bad_mask in (
-        (depth, np.zeros_like(mask)),
-        (depth, few),
-        (np.full_like(depth, np.nan), mask),
-        (np.zeros_like(depth), mask),
-        (np.full_like(depth, np.inf), mask),
-        (np.where(mask, 0.0, depth), mask),
-    ):
-        assert observe(bad_depth, bad_mask, camera, min_pixels=20) is None
+DEPTH, MASK = see(NOMINAL, block([0.06, 0.03, 0.02], at(0, 0, 0.01)))
+FEW = np.zeros_like(MASK)
+FEW[200, 200:203] = True
+
+
+@pytest.mark.parametrize(
+    ("depth", "mask", "found"),
+    [
+        (DEPTH, MASK, True),
+        (DEPTH, np.zeros_like(MASK), False),
+        (DEPTH, FEW, False),
+        (np.full_like(DEPTH, np.nan), MASK, False),
+        (np.zeros_like(DEPTH), MASK, False),
+        (np.full_like(DEPTH, np.inf), MASK, False),
+        (np.where(MASK, 0.0, DEPTH), MASK, False),
+    ],
+)
+def test_too_little_to_see_is_nothing(depth, mask, found):
+    surface = observe(depth, mask, NOMINAL, min_pixels=20)
+    assert (surface is not None) == found
 
 
 def test_images_of_another_shape_are_refused():
-    camera = CAMERAS["nominal"]
-    depth = np.ones(camera.shape, np.float32)
-    mask = np.ones(camera.shape, bool)
     with pytest.raises(ValueError, match="depth image"):
-        observe(depth[1:], mask, camera, min_pixels=1)
+        observe(DEPTH[1:], MASK, NOMINAL, min_pixels=1)
     with pytest.raises(ValueError, match="mask"):
-        observe(depth, mask[:, 1:], camera, min_pixels=1)
+        observe(DEPTH, MASK[:, 1:], NOMINAL, min_pixels=1)
 
 
 @pytest.mark.parametrize("name", ["nominal", "tilted"])

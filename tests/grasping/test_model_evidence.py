@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import trimesh
 
-from tests.grasping.depth_scenes import at
+from tests.grasping.depth_scenes import model_block as block
+from tests.poses import at, downwards
 from xray_drake.grasping.candidates import EQUAL_QUALITY
 from xray_drake.grasping.evidence import model as module
 from xray_drake.grasping.evidence.model import ModelEvidence
@@ -12,24 +12,17 @@ from xray_drake.grasping.judgement import GRAVITY
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import Grasp, GraspKind
-from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.seeding import stream
-
-
-def model_planner(objects, **options):
-    return GraspPlanner(ModelEvidence(objects, **options))
-
-
-def block(name, *extents, density=600.0):
-    return object_from_pieces(
-        name, [trimesh.creation.box(extents)], density=density
-    )
-
 
 FLAT = block("flat", 0.042, 0.021, 0.005)
 PLATE = block("plate", 0.08, 0.08, 0.01)
 HEAVY = block("heavy", 0.03, 0.03, 0.03, density=16_000)
 CUBE = block("cube", 0.03, 0.03, 0.03)
+LYING = {"flat": at(0, 0, 0.0025), "plate": at(0, 0, 0.005)}
+
+
+def model_planner(objects, **options):
+    return GraspPlanner(ModelEvidence(objects, **options))
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +33,12 @@ def planner():
 def nominal(planner, grasp, poses, **changes):
     arguments = {"X_WG_perturbed": grasp.X_WG, "friction": 0.5} | changes
     return planner.judge(grasp, poses, **arguments)
+
+
+def jaw_on(name, z, width):
+    """A grasp straight down on an object at the origin."""
+    X_WG = downwards(0, 0, z)
+    return Grasp(GraspKind.JAW, name, X_WG, width=width, quality=1.0)
 
 
 def test_beside_the_wall_and_in_the_corner(planner):
@@ -86,61 +85,51 @@ def test_grasps_and_the_cloud_that_judges_them_are_drawn_apart(monkeypatch):
 @pytest.mark.parametrize(("factor", "lifted"), [(1.05, True), (0.95, False)])
 def test_a_heavy_box_slips_below_the_friction_it_needs(planner, factor, lifted):
     """Two pads hold 2 μ F; the axis passes through the centre of mass."""
-    poses = {"heavy": at(0, 0, 0.015)}
-    needed = (
-        HEAVY.mass * GRAVITY / (2 * planner.evidence.gripper.parameters.force)
-    )
-    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
+    evidence = planner.evidence
+    force = evidence.gripper.parameters.force
+    friction = factor * HEAVY.mass * GRAVITY / (2 * force)
     # The middle of the pads, 2 mm behind the origin, at the centre of mass.
-    X_WG[2, 3] = 0.015 - 0.002
-    grasp = Grasp(GraspKind.JAW, "heavy", X_WG, width=0.03, quality=1.0)
-    raised = X_WG.copy()
-    raised[2, 3] += planner.evidence.config.judgement.overtravel
+    grasp = jaw_on("heavy", 0.015 - 0.002, 0.03)
+    raised = at(0, 0, evidence.config.judgement.overtravel) @ grasp.X_WG
+    poses = {"heavy": at(0, 0, 0.015)}
     judged = nominal(
-        planner, grasp, poses, X_WG_perturbed=raised, friction=factor * needed
+        planner, grasp, poses, X_WG_perturbed=raised, friction=friction
     )
     assert (judged.quality > 0) == lifted
     assert ("holds" in judged.reason) != lifted
 
 
-def test_a_cup_cannot_hold_more_than_its_vacuum():
-    planner = model_planner(
-        [
-            block("light", 0.08, 0.08, 0.02),
-            block("iron", 0.08, 0.08, 0.03, density=7800),
-        ]
-    )
-    poses = {"light": at(0.1, 0, 0.01), "iron": at(-0.1, 0, 0.015)}
-    assert planner.plan("light", poses).grasp.kind is GraspKind.SUCTION
-    assert planner.plan("iron", poses).grasp.kind is GraspKind.NONE
+JAW = jaw_on("flat", 0.0035, 0.021)
+CUP = Grasp(GraspKind.SUCTION, "plate", downwards(0, 0, 0.01), quality=1.0)
 
 
 @pytest.mark.parametrize(
-    ("shift", "reason"),
+    ("grasp", "shift", "reason"),
     [
-        ((0.05, 0, 0), "misses"),
-        ((0, 0, 0.012), "misses"),
-        ((0, 0, -0.015), "hits floor"),
+        (JAW, (0, 0, 0), ""),
+        (JAW, (0.05, 0, 0), "misses"),
+        (JAW, (0, 0, 0.012), "misses"),
+        (JAW, (0, 0, -0.015), "hits floor"),
+        # 2 mm overtravel and 4 mm bellows reach up, 4 + 6 mm give way down.
+        (CUP, (0.03, 0, 0), "seal"),
+        (CUP, (0, 0, 0.008), "reach"),
+        (CUP, (0, 0, 0.005), ""),
+        (CUP, (0, 0, -0.008), ""),
+        (CUP, (0, 0, -0.012), "too early"),
     ],
 )
-def test_what_a_displaced_jaw_meets(planner, shift, reason):
-    poses = {"flat": at(0, 0, 0.0025)}
-    down = np.diag([1.0, -1.0, -1.0, 1.0])
-    down[2, 3] = 0.0035
-    grasp = Grasp(GraspKind.JAW, "flat", down, width=0.021, quality=1.0)
-    assert nominal(planner, grasp, poses).quality > 0
-    X_WG = down.copy()
-    X_WG[:3, 3] += shift
+def test_what_a_displaced_gripper_meets(planner, grasp, shift, reason):
+    poses = {grasp.object: LYING[grasp.object]}
+    X_WG = at(*shift) @ grasp.X_WG
     judged = nominal(planner, grasp, poses, X_WG_perturbed=X_WG)
-    assert judged.quality == 0
+    assert (judged.quality > 0) == (reason == "")
     assert reason in judged.reason
 
 
 def test_the_jaw_stops_at_the_floor(planner):
-    poses = {"flat": at(0, 0, 0.0025)}
+    poses = {"flat": LYING["flat"]}
     grasp = planner.plan("flat", poses).grasp
-    X_WG = grasp.X_WG.copy()
-    X_WG[2, 3] -= 0.003
+    X_WG = at(0, 0, -0.003) @ grasp.X_WG
     judged = nominal(planner, grasp, poses, X_WG_perturbed=X_WG)
     assert judged.quality > 0
     assert judged.X_WG[2, 3] == pytest.approx(0.0035, abs=1e-4)
@@ -148,38 +137,13 @@ def test_the_jaw_stops_at_the_floor(planner):
 
 def test_a_jaw_that_closes_on_a_neighbour_fails():
     """A wire beside the target, inside the opening and outside the contacts."""
-    wire = block("wire", 0.03, 0.002, 0.005)
-    planner = model_planner([FLAT, wire])
-    alone = {"flat": at(0, 0, 0.0025)}
-    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WG[2, 3] = 0.0035
-    grasp = Grasp(GraspKind.JAW, "flat", X_WG, width=0.021, quality=1.0)
-    assert nominal(planner, grasp, alone).quality > 0
+    planner = model_planner([FLAT, block("wire", 0.03, 0.002, 0.005)])
+    alone = {"flat": LYING["flat"]}
+    assert nominal(planner, JAW, alone).quality > 0
     between = alone | {"wire": at(0, 0.0105 + 0.003, 0.0025)}
-    judged = nominal(planner, grasp, between)
+    judged = nominal(planner, JAW, between)
     assert judged.quality == 0
     assert "closes on wire" in judged.reason
-
-
-@pytest.mark.parametrize(
-    ("shift", "reason"),
-    [
-        ((0.03, 0, 0), "seal"),
-        ((0, 0, 0.008), "reach"),
-        ((0, 0, 0.005), ""),
-        ((0, 0, -0.008), ""),
-        ((0, 0, -0.012), "too early"),
-    ],
-)
-def test_what_a_displaced_cup_meets(planner, shift, reason):
-    """2 mm overtravel and 4 mm bellows reach up, 4 + 6 mm give way down."""
-    poses = {"plate": at(0, 0, 0.005)}
-    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WG[:3, 3] = np.array([0, 0, 0.01]) + shift
-    grasp = Grasp(GraspKind.SUCTION, "plate", X_WG, quality=1.0)
-    judged = nominal(planner, grasp, poses)
-    assert (judged.quality > 0) == (reason == "")
-    assert reason in judged.reason
 
 
 def test_no_grasp_cannot_be_judged(planner):
@@ -190,15 +154,13 @@ def test_no_grasp_cannot_be_judged(planner):
 
 
 def test_most_perturbed_grasps_on_a_thin_box_succeed(planner):
-    poses = {"flat": at(0, 0, 0.0025)}
+    poses = {"flat": LYING["flat"]}
     grasp = planner.plan("flat", poses).grasp
     rng = np.random.default_rng(0)
     lifted = 0
     for _ in range(60):
-        X_WG, friction = perturb(grasp, rng, PerturbationConfig())
-        judged = planner.judge(
-            grasp, poses, X_WG_perturbed=X_WG, friction=friction
-        )
+        X, mu = perturb(grasp, rng, PerturbationConfig())
+        judged = nominal(planner, grasp, poses, X_WG_perturbed=X, friction=mu)
         lifted += judged.quality > 0
     assert 0.8 * 60 <= lifted < 60
 

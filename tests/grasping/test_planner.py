@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.grasping.depth_scenes import at, block, see
+from tests.grasping.depth_scenes import block, model_block, see
 from tests.occupancy.scenes import CAMERAS
+from tests.poses import at
 from xray_drake.grasping.candidates import (
     EQUAL_QUALITY,
     by_score,
@@ -25,7 +25,6 @@ from xray_drake.grasping.evidence.model import ModelEvidence, ModelPlannerConfig
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import Grasp, GraspKind
-from xray_drake.scene.object_model import object_from_pieces
 
 FLAT = (0.042, 0.021, 0.005)
 PLATE = (0.08, 0.08, 0.01)
@@ -42,11 +41,7 @@ class ByModels:
 
     def plan(self, *blocks, **options):
         models = [
-            object_from_pieces(
-                f"block_{i}",
-                [trimesh.creation.box(extents)],
-                density=self.density,
-            )
+            model_block(f"block_{i}", *extents, density=self.density)
             for i, (extents, _) in enumerate(blocks)
         ]
         evidence = ModelEvidence(models, config=self.config, seed=self.seed)
@@ -124,28 +119,29 @@ def test_a_plate_too_wide_for_the_jaw_is_sucked(known, camera):
     assert "too wide" in plan.why_not()
 
 
-@EVIDENCE
-def test_nothing_under_a_roof(known):
-    """Over a slot too narrow for the fingers."""
-    flat = FLAT, at(0, 0, 0.0025)
-    roofs = [((0.2, 0.2, 0.01), at(s * 0.107, 0, 0.05)) for s in (1, -1)]
-    assert not known().plan(flat, *roofs)
-    assert known().plan(roofs[0], flat).grasp.kind is GraspKind.SUCTION
+ROOFS = [((0.2, 0.2, 0.01), at(s * 0.107, 0, 0.05)) for s in (1, -1)]
+"""Over a slot too narrow for the fingers."""
+
+POSTS = [
+    (size, at(side * x, side * y, 0.05))
+    for size, x, y in (
+        ((0.02, 0.12, 0.10), 0.021 + 0.011, 0),
+        ((0.12, 0.02, 0.10), 0, 0.0105 + 0.011),
+    )
+    for side in (1, -1)
+]
+"""They stand 1 mm from all four sides: no room for a fingertip."""
 
 
 @EVIDENCE
-def test_nothing_between_high_posts(known):
-    """They stand 1 mm from all four sides: no room for a fingertip."""
-    dx, dy = 0.021 + 0.011, 0.0105 + 0.011
-    posts = [
-        ((0.02, 0.12, 0.10), at(dx, 0, 0.05)),
-        ((0.02, 0.12, 0.10), at(-dx, 0, 0.05)),
-        ((0.12, 0.02, 0.10), at(0, dy, 0.05)),
-        ((0.12, 0.02, 0.10), at(0, -dy, 0.05)),
-    ]
+@pytest.mark.parametrize("around", [ROOFS, POSTS], ids=["roofs", "posts"])
+def test_nothing_where_the_gripper_has_no_room(known, around):
     flat = FLAT, at(0, 0, 0.0025)
-    assert not known().plan(flat, *posts)
+    assert not known().plan(flat, *around)
     assert known().plan(flat)
+    if around is ROOFS:
+        roof = known().plan(ROOFS[0], flat).grasp
+        assert roof.kind is GraspKind.SUCTION
 
 
 @pytest.mark.parametrize(
@@ -200,41 +196,42 @@ def test_perturbations_have_the_size_asked_for():
     grasp = Grasp(GraspKind.JAW, "x", at(0.1, 0.2, 0.3, yaw=0.5))
     config = PerturbationConfig(friction=0.1)
     rng = np.random.default_rng(0)
-    poses, frictions = zip(
-        *[perturb(grasp, rng, config) for _ in range(2000)], strict=True
-    )
-    shift = np.array([X[:3, 3] - grasp.X_WG[:3, 3] for X in poses])
+    drawn = [perturb(grasp, rng, config) for _ in range(2000)]
+    error = np.array([X @ np.linalg.inv(grasp.X_WG) for X, _ in drawn])
+    shift = np.array([X[:3, 3] for X, _ in drawn]) - grasp.X_WG[:3, 3]
     np.testing.assert_allclose(shift.std(axis=0), 0.0025, rtol=0.1)
-    angle = [
-        Rotation.from_matrix(X[:3, :3] @ grasp.X_WG[:3, :3].T).magnitude()
-        for X in poses
-    ]
-    assert np.sqrt(np.mean(np.square(angle))) == pytest.approx(0.05, rel=0.1)
-    assert min(frictions) > 0.05
-    still = PerturbationConfig(
+    angle = Rotation.from_matrix(error[:, :3, :3]).magnitude()
+    assert np.sqrt(np.mean(angle**2)) == pytest.approx(0.05, rel=0.1)
+    assert min(friction for _, friction in drawn) > 0.05
+    none = PerturbationConfig(
         position_sigma=0.0, angle_sigma=0.0, friction_sigma=0.0
     )
-    X_WG, friction = perturb(grasp, rng, still)
+    X_WG, friction = perturb(grasp, rng, none)
     np.testing.assert_allclose(X_WG, grasp.X_WG)
     assert friction == 0.5
 
 
-def test_a_half_turn_is_the_same_jaw_but_not_a_quarter():
-    grasp = Grasp(GraspKind.JAW, "x", X_OG=at(0, 0, 0))
-    options = {"position": 0.005, "angle": 0.175}
-    for yaw, same in [(0, True), (np.pi, True), (np.pi / 2, False)]:
-        X_OG = at(0.001, 0, 0, yaw=yaw)
-        assert is_among([grasp], GraspKind.JAW, X_OG, **options) == same
-    far = at(0.006, 0, 0)
-    assert not is_among([grasp], GraspKind.JAW, far, **options)
-    assert not is_among([grasp], GraspKind.SUCTION, at(0, 0, 0), **options)
+@pytest.mark.parametrize(
+    ("kind", "X_OG", "same"),
+    [
+        (GraspKind.JAW, at(0.001), True),
+        (GraspKind.JAW, at(0.001, yaw=np.pi), True),
+        (GraspKind.JAW, at(0.001, yaw=np.pi / 2), False),
+        (GraspKind.JAW, at(0.006), False),
+        (GraspKind.SUCTION, at(), False),
+    ],
+)
+def test_a_half_turn_is_the_same_jaw_but_not_a_quarter(kind, X_OG, same):
+    grasp = Grasp(GraspKind.JAW, "x", X_OG=at())
+    found = is_among([grasp], kind, X_OG, position=0.005, angle=0.175)
+    assert found is same
 
 
 def test_each_group_has_its_best_first():
     score = np.array([0.9, 0.8, 0.1, 0.7, 0.2])
     group = np.array([0, 0, 1, 0, 1])
-    np.testing.assert_array_equal(in_groups(score, group), [0, 4, 1, 2, 3])
-    assert len(in_groups(score[:0], group[:0])) == 0
+    assert in_groups(score, group).tolist() == [0, 4, 1, 2, 3]
+    assert in_groups(score[:0], group[:0]).tolist() == []
 
 
 def test_scores_that_differ_by_rounding_keep_their_order():

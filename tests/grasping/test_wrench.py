@@ -105,35 +105,24 @@ CUP = {
 }
 
 
-@pytest.mark.parametrize(
-    ("lever", "gravity", "expected"),
-    [
-        ([0, 0, 0.02], [0, 0, 1], 14.0),
-        # Beside the centre of mass the lip limits it, ...
-        *(
-            ([x, 0, 0.02], [0, 0, 1], np.pi * 0.015 * 2.2 / np.sqrt(2) / x)
-            for x in (0.01, 0.04)
-        ),
-        ([0.001, 0, 0.02], [0, 0, 1], 14.0),
-        # ... on a vertical face friction.
-        ([0, 0, 0], [1, 0, 0], 0.5 * 14.0 / np.sqrt(3)),
-    ],
-)
-def test_what_limits_a_cup(lever, gravity, expected):
-    assert suction_holding_force(lever, gravity, **CUP) == pytest.approx(
-        expected
-    )
+ALONG = [0, 0, 1]
+BEND = np.pi * 0.015 * 2.2 / np.sqrt(2)
+CUPS = [
+    ([0, 0, 0.02], ALONG, 14.0),
+    ([0.001, 0, 0.02], ALONG, 14.0),
+    # Beside the centre of mass the lip limits it, ...
+    ([0.01, 0, 0.02], ALONG, BEND / 0.01),
+    ([0.04, 0, 0.02], ALONG, BEND / 0.04),
+    # ... on a vertical face friction.
+    ([0, 0, 0], [1, 0, 0], 0.5 * 14.0 / np.sqrt(3)),
+]
 
 
-def test_cups_are_judged_independently():
-    lever = np.array([[0, 0, 0.02], [0.03, 0, 0.02]])
-    gravity = np.array([[0, 0, 1.0], [0.6, 0, 0.8]])
-    both = suction_holding_force(lever, gravity, **CUP)
-    single = [
-        suction_holding_force(a, b, **CUP)
-        for a, b in zip(lever, gravity, strict=True)
-    ]
-    np.testing.assert_allclose(both, single)
+def test_what_limits_cups():
+    """Each for itself, judged at once."""
+    levers, gravities, expected = zip(*CUPS, strict=True)
+    held = suction_holding_force(levers, gravities, **CUP)
+    np.testing.assert_allclose(held, expected)
 
 
 @pytest.mark.parametrize(
