@@ -106,17 +106,11 @@ def many_records(heaps: int = 40) -> list[dict[str, Any]]:
             won = rng.random() < chance
             count = int(np.clip(rng.poisson(steps), 1, 10)) if won else 10
             end = "success" if won else str(rng.choice(_ENDS))
-            records.append(
-                record(
-                    policy,
-                    seed,
-                    count,
-                    end,
-                    occupancy=occupancy,
-                    visible=visible,
-                    cover=cover,
-                )
+            starts = {"visible": visible, "cover": cover}
+            found = record(
+                policy, seed, count, end, occupancy=occupancy, **starts
             )
+            records.append(found)
     return records
 
 

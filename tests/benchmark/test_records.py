@@ -1,4 +1,3 @@
-import json
 import random
 from dataclasses import replace
 from functools import reduce
@@ -37,11 +36,6 @@ def demo(**changes: Any) -> Scenario:
     return scenario
 
 
-def test_a_folder_without_rollouts_has_none(tmp_path: Path) -> None:
-    assert read_rollouts(tmp_path) == []
-    assert read_rollouts(tmp_path / "none") == []
-
-
 def test_what_a_rollout_chooses_is_not_of_the_shared_scenario() -> None:
     changed = demo(
         seed=17,
@@ -50,15 +44,11 @@ def test_what_a_rollout_chooses_is_not_of_the_shared_scenario() -> None:
         perception__occupancy="learned",
     )
     assert shared_scenario(changed) == shared_scenario(demo())
+    # The scenario given is left alone.
+    assert (changed.seed, changed.policy.name) == (17, "random")
     text = shared_scenario(demo())
     assert shared_scenario(demo(horizon=9)) != text
     assert shared_scenario(parse_scenario(text, "again")) == text
-
-
-def test_the_scenario_given_is_left_alone() -> None:
-    scenario = demo(seed=17, policy__name="random")
-    shared_scenario(scenario)
-    assert (scenario.seed, scenario.policy.name) == (17, "random")
 
 
 def test_a_folder_is_of_one_scenario(tmp_path: Path) -> None:
@@ -67,6 +57,7 @@ def test_a_folder_is_of_one_scenario(tmp_path: Path) -> None:
     check_folder(tmp_path / "none", "anything")
     with pytest.raises(ValueError, match=str(folder)):
         check_folder(folder, shared_scenario(demo()) + "horizon: 3\n")
+    assert read_rollouts(tmp_path / "none") == read_rollouts(folder) == []
 
 
 def test_folders_come_together_whatever_their_order(tmp_path: Path) -> None:
@@ -97,50 +88,51 @@ def test_the_first_of_the_same_rollouts_counts(tmp_path: Path) -> None:
     found = collect([one, two])
     assert found.repeated == 2
     assert [r["num_actions"] for r in found.records] == [9, 3, 7, 6]
-    assert [r["num_actions"] for r in collect([two, one]).records] == [
-        *(8, 5, 7, 6)
-    ]
+    turned = collect([two, one]).records
+    assert [r["num_actions"] for r in turned] == [8, 5, 7, 6]
+    # As when a killed benchmark's worker lived on.
+    twice = write_folder(tmp_path / "twice", [record("xray", 1)] * 2)
+    assert len(collect([twice]).records) == collect([twice]).repeated == 1
 
 
-def test_a_line_twice_in_one_folder_counts_once(tmp_path: Path) -> None:
-    """As when a killed benchmark's worker lived on."""
-    folder = write_folder(tmp_path / "a", [record("xray", 1)] * 2)
-    assert len(collect([folder]).records) == collect([folder]).repeated == 1
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"scene__num_objects": 9},
-        {"horizon": 9},
-        {"gripper__quasi_static__speed": 0.9},
-    ],
-)
-@pytest.mark.parametrize("seed", [1, 2])
-def test_heaps_of_other_scenarios_do_not_mix(
-    change: dict[str, Any], seed: int, tmp_path: Path
-) -> None:
-    one = write_folder(tmp_path / "one", [record("xray", 1)])
-    two = write_folder(tmp_path / "two", [record("xray", seed)], demo(**change))
-    with pytest.raises(ValueError, match=r"one and .*two are of different"):
-        collect([one, two])
+DIFFERENT = r"one and .*two are of different"
+BOTH = r"both hold xray \({}\)"
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "seed", "occupancy", "complaint"),
     [
-        {"policy__min_visible_pixels": 99},
-        {"perception__geometric__rotations": 16},
+        ({"scene__num_objects": 9}, 1, "geometric", DIFFERENT),
+        ({"horizon": 9}, 2, "geometric", DIFFERENT),
+        ({"gripper__quasi_static__speed": 0.9}, 2, "geometric", DIFFERENT),
+        (
+            *({"policy__min_visible_pixels": 99}, 2),
+            *("geometric", BOTH.format("geometric")),
+        ),
+        (
+            *({"perception__geometric__rotations": 16}, 2),
+            *("geometric", BOTH.format("geometric")),
+        ),
+        # Every variant is told the floor.
+        (
+            *({"perception__geometric__floor": [-0.2, 0.2, -0.2, 0.2]}, 1),
+            *("learned", BOTH.format("learned")),
+        ),
     ],
 )
-def test_one_variant_has_one_setting(
-    change: dict[str, Any], tmp_path: Path
+def test_heaps_are_of_one_scenario_and_a_variant_has_one_setting(
+    change: dict[str, Any],
+    seed: int,
+    occupancy: str,
+    complaint: str,
+    tmp_path: Path,
 ) -> None:
-    one = write_folder(tmp_path / "one", [record("xray", 1)])
-    two = write_folder(tmp_path / "two", [record("xray", 2)], demo(**change))
-    with pytest.raises(
-        ValueError, match=r"both hold xray \(geometric\)"
-    ) as error:
+    first, second = (
+        record("xray", number, occupancy=occupancy) for number in (1, seed)
+    )
+    one = write_folder(tmp_path / "one", [first])
+    two = write_folder(tmp_path / "two", [second], demo(**change))
+    with pytest.raises(ValueError, match=complaint) as error:
         collect([one, two])
     assert len(str(error.value).splitlines()) == 1
 
@@ -158,18 +150,6 @@ def test_settings_that_a_variant_does_not_use_may_differ(
     other = record("xray", 1, occupancy="learned")
     two = write_folder(tmp_path / "two", [other, record("random", 2)], changed)
     assert len(collect([one, two]).records) == 4
-
-
-def test_every_variant_is_told_the_floor(tmp_path: Path) -> None:
-    rollout = record("xray", 1, occupancy="learned")
-    one = write_folder(tmp_path / "one", [rollout])
-    two = write_folder(
-        tmp_path / "two",
-        [rollout],
-        demo(perception__geometric__floor=[-0.2, 0.2, -0.2, 0.2]),
-    )
-    with pytest.raises(ValueError, match=r"both hold xray \(learned\)"):
-        collect([one, two])
 
 
 def test_the_scenario_beside_the_rollouts_holds_in_any_folder(
@@ -199,34 +179,18 @@ def test_a_folder_that_is_no_benchmarks(missing: str, tmp_path: Path) -> None:
         collect([folder])
 
 
-def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
-    folder = write_folder(
-        tmp_path / "a", [record("xray", 1), record("xray", 2)]
-    )
-    path = folder / ROLLOUTS
-    path.write_text(path.read_text(encoding="utf-8")[:-20], encoding="utf-8")
-    (kept,) = read_rollouts(folder)
-    assert kept == json.loads(json.dumps(record("xray", 1)))
-
-
 def test_a_record_may_name_its_files_by_another_path(tmp_path: Path) -> None:
     own = {"seed": 1, "policy__name": "random"}
     scenario = demo(**own, scene__meshes=["meshes/tools"])
-    for i, (path, belongs) in enumerate(
-        [
-            ("meshes/tools", True),
-            ("/somewhere/meshes/tools", True),
-            ("meshes/toys", False),
-        ]
-    ):
+    for i, path in enumerate(["meshes/tools", "/somewhere/meshes/tools"]):
         text = dump_scenario(demo(**own, scene__meshes=[path]))
         item = record("random", 1, scenario=text)
         folder = write_folder(tmp_path / str(i), [item], scenario)
-        if belongs:
-            assert collect([folder]).records == [item]
-        else:
-            with pytest.raises(ValueError, match="of another scenario"):
-                collect([folder])
+        assert collect([folder]).records == [item]
+    item["scenario"] = dump_scenario(demo(**own, scene__meshes=["meshes/toys"]))
+    folder = write_folder(tmp_path / "toys", [item], scenario)
+    with pytest.raises(ValueError, match="of another scenario"):
+        collect([folder])
 
 
 def test_changes_are_told(tmp_path: Path) -> None:
