@@ -1,8 +1,25 @@
-"""Writes where timings come from into what pytest-benchmark saves."""
+"""Timings of one thread, and where they come from in what is saved."""
 
+from collections.abc import Iterator
 from typing import Any
 
+import cv2
+import pytest
+import torch
+
 from xray_drake.provenance import current
+
+
+@pytest.fixture(autouse=True)
+def threads(request: pytest.FixtureRequest) -> Iterator[None]:
+    """One, or as many as a module says."""
+    count = getattr(request.module, "THREADS", 1)
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    torch.set_num_threads(count)
+    cv2.setNumThreads(count)
+    yield
+    torch.set_num_threads(before[0])
+    cv2.setNumThreads(before[1])
 
 
 def pytest_benchmark_update_json(

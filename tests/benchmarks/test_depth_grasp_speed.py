@@ -5,12 +5,8 @@
 """
 
 import time
-from collections.abc import Iterator
-
-import cv2
 import numpy as np
 import pytest
-import trimesh
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.grasping.depth_scenes import block, clutter, see
@@ -25,33 +21,19 @@ pytestmark = pytest.mark.benchmark(timer=time.process_time)
 CAMERA = CAMERAS["tilted"]
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(threads)
+SCENES = {
+    "thin box": [block([0.042, 0.021, 0.005], at(0, 0, 0.0025))],
+    "large plate": [block([0.12, 0.08, 0.01], at(0, 0, 0.005))],
+    **{
+        f"heap {seed}": clutter(np.random.default_rng(seed), 14, spread=0.08)
+        for seed in (0, 3, 4)
+    },
+}
 
 
-def time_plan(
-    benchmark: BenchmarkFixture, meshes: list[trimesh.Trimesh]
-) -> None:
-    depth, mask = see(CAMERA, *meshes)
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_plan(benchmark: BenchmarkFixture, scene: str) -> None:
+    depth, mask = see(CAMERA, *SCENES[scene])
     planner = GraspPlanner(DepthEvidence())
-    seen = SeenObject(mask, depth, CAMERA)
-    grasp = benchmark(planner.plan, "it", seen)
-    assert grasp.quality > 0
-
-
-def test_a_thin_box_alone(benchmark: BenchmarkFixture) -> None:
-    time_plan(benchmark, [block([0.042, 0.021, 0.005], at(0, 0, 0.0025))])
-
-
-def test_a_large_plate_alone(benchmark: BenchmarkFixture) -> None:
-    time_plan(benchmark, [block([0.12, 0.08, 0.01], at(0, 0, 0.005))])
-
-
-@pytest.mark.parametrize("seed", [0, 3, 4])
-def test_a_block_in_a_heap(benchmark: BenchmarkFixture, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    time_plan(benchmark, clutter(rng, 14, spread=0.08))
+    plan = benchmark(planner.plan, "it", SeenObject(mask, depth, CAMERA))
+    assert plan.grasp.quality > 0

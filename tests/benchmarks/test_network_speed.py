@@ -4,8 +4,6 @@
         -o addopts="--import-mode=importlib" --benchmark-only
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
@@ -24,12 +22,7 @@ from xray_drake.occupancy.learned.weights import read_card
 SIZE = np.array([0.0424, 0.0212, 0.005])
 
 
-@pytest.fixture(autouse=True)
-def two_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
+THREADS = 2
 
 
 @pytest.mark.parametrize("seen", [False, True], ids=["hidden", "seen"])
