@@ -13,27 +13,19 @@ from xray_drake.drawing.colors import (
 )
 
 
-@pytest.mark.parametrize("shape", [(), (0,), (3,), (2, 5), (2, 3, 4)])
-def test_heat_adds_a_color_to_every_value(shape: tuple[int, ...]) -> None:
-    colors = heat(np.full(shape, 0.5))
-    assert colors.shape == (*shape, 3)
-    assert colors.min(initial=1.0) >= 0.0
-    assert colors.max(initial=0.0) <= 1.0
-
-
-def test_heat_is_a_map_of_rgb_whose_colors_tell_values_apart() -> None:
+@pytest.mark.parametrize("shape", [(), (0,), (2, 3, 4)])
+def test_heat_is_a_map_of_rgb_whose_colors_tell_values_apart(
+    shape: tuple[int, ...],
+) -> None:
+    assert heat(np.full(shape, 0.5)).shape == (*shape, 3)
     colors = heat(np.linspace(0, 1, 256))
+    assert 0 <= colors.min() < colors.max() <= 1
     low, high = colors[10], colors[-1]
     # Cold is bluish, hot is reddish: swapped channels turn this round.
     assert low[2] > low[0]
     assert high[0] > high[2]
     assert len(np.unique(colors, axis=0)) > 200
-
-
-def test_heat_clips_what_is_outside_zero_and_one() -> None:
-    np.testing.assert_array_equal(
-        heat(np.array([-1.0, 2.0])), heat(np.array([0.0, 1.0]))
-    )
+    np.testing.assert_array_equal(heat(np.array([-1.0, 2.0])), colors[[0, -1]])
 
 
 @settings(max_examples=30, deadline=None)
