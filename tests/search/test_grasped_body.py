@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
 
+from tests.alone import Alone
 from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.messages import Grasp, GraspKind, SearchAction
 from xray_drake.search.grasped_body import GraspedBody, body_under_grasp
@@ -26,54 +25,53 @@ def grasp_at(
     return Grasp(kind, "segment_1", X_WG, width=width, quality=0.5)
 
 
-def under(seen: Observation, grasp: Grasp) -> str:
-    return body_under_grasp(
-        grasp,
+FLOOR = (-0.1, -0.1)
+PLANK = {"width": 0.03, "yaw": -0.2}
+
+
+@pytest.mark.parametrize(
+    ("at", "z", "jaw", "found"),
+    [
+        *(
+            (name, top + above, {}, name if above < 0.01 else "")
+            for name, top in (
+                ("book", 0.025),
+                ("block", 0.06),
+                ("plank", 0.015),
+            )
+            for above in (0.0, 0.004, 0.03)
+        ),
+        ("plank", 0.008, PLANK, "plank"),
+        # Far below the fingertips is not between them.
+        ("plank", 0.04, PLANK, ""),
+        # The end of the target that peeps out from under the book.
+        (TARGET, 0.0025, {"width": 0.02, "yaw": 0.4}, TARGET),
+        (FLOOR, 0.0, {}, ""),
+        (FLOOR, 0.003, {"width": 0.02}, ""),
+    ],
+)
+def test_what_cup_or_jaw_is_on(
+    recorded_observation: Observation,
+    at: str | tuple[float, float],
+    z: float,
+    jaw: dict[str, float],
+    found: str,
+) -> None:
+    seen = recorded_observation
+    if isinstance(at, str):
+        end = -0.017 if at == TARGET else 0.0
+        x, y, *_ = seen.heap.poses[at] @ [end, 0, 0, 1]
+    else:
+        x, y = at
+    under = body_under_grasp(
+        grasp_at(x, y, z, **jaw),
         seen.labels,
         seen.depth,
         seen.camera,
         seen.label_of,
         GripperParameters(),
     )
-
-
-@pytest.mark.parametrize("name", ["book", "block", "plank"])
-def test_what_the_cup_is_on(
-    recorded_observation: Observation, name: str
-) -> None:
-    seen = recorded_observation
-    top = {"book": 0.025, "block": 0.06, "plank": 0.015}[name]
-    x, y, _ = seen.heap.poses[name][:3, 3]
-    assert under(seen, grasp_at(x, y, top)) == name
-    assert under(seen, grasp_at(x, y, top + 0.004)) == name
-    assert under(seen, grasp_at(x, y, top + 0.03)) == ""
-
-
-def test_what_the_jaw_closes_on(recorded_observation: Observation) -> None:
-    seen = recorded_observation
-    x, y, _ = seen.heap.poses["plank"][:3, 3]
-    across = grasp_at(x, y, 0.008, width=0.03, yaw=-0.2)
-    assert under(seen, across) == "plank"
-    # The end of the target that peeps out from under the book.
-    end = seen.heap.poses[TARGET] @ [-0.017, 0, 0, 1]
-    assert under(seen, grasp_at(*end[:3], width=0.02, yaw=0.4)) == TARGET
-
-
-def test_far_below_the_fingertips_is_not_between_them(
-    recorded_observation: Observation,
-) -> None:
-    seen = recorded_observation
-    x, y, _ = seen.heap.poses["plank"][:3, 3]
-    assert under(seen, grasp_at(x, y, 0.04, width=0.03, yaw=-0.2)) == ""
-
-
-def test_nothing_is_on_the_bare_floor(
-    recorded_observation: Observation,
-) -> None:
-    assert under(recorded_observation, grasp_at(-0.1, -0.1, 0.0)) == ""
-    jaw = grasp_at(-0.1, -0.1, 0.003, width=0.02)
-    assert under(recorded_observation, jaw) == ""
-    assert under(recorded_observation, Grasp()) == ""
+    assert under == found
 
 
 def told(seen: Observation, action: SearchAction) -> SearchAction:
@@ -82,23 +80,17 @@ def told(seen: Observation, action: SearchAction) -> SearchAction:
     system = GraspedBody(
         labels=seen.label_of, bodies={name: i for i, name in enumerate(names)}
     )
-    context = system.CreateDefaultContext()
-    height, width = seen.depth.shape
-    depth, label = ImageDepth32F(width, height), ImageLabel16I(width, height)
-    depth.mutable_data[:, :, 0] = seen.depth
-    label.mutable_data[:, :, 0] = seen.labels
-    for port, value in (
-        ("action", action),
-        ("depth_image", depth),
-        ("label_image", label),
-        ("camera", seen.camera),
-        ("body_poses", [RigidTransform(seen.heap.poses[n]) for n in names]),
-    ):
-        system.GetInputPort(port).FixValue(context, AbstractValue.Make(value))
-    return system.GetOutputPort("action").Eval(context)
+    return Alone(
+        system,
+        action=action,
+        depth_image=seen.depth,
+        label_image=seen.labels,
+        camera=seen.camera,
+        body_poses=[RigidTransform(seen.heap.poses[n]) for n in names],
+    ).output("action")
 
 
-def test_the_gripper_is_told_the_body(
+def test_the_gripper_is_told_the_body_if_any(
     recorded_observation: Observation,
 ) -> None:
     seen = recorded_observation
@@ -110,14 +102,7 @@ def test_the_gripper_is_told_the_body(
     assert (out.grasp.object, out.grasp.kind) == ("book", GraspKind.SUCTION)
     np.testing.assert_array_equal(out.grasp.X_WG, grasp.X_WG)
     np.testing.assert_allclose(X_WO @ out.grasp.X_OG, grasp.X_WG, atol=1e-12)
-
-
-def test_the_gripper_is_told_that_nothing_is_there(
-    recorded_observation: Observation,
-) -> None:
-    action = SearchAction(number=1, grasp=grasp_at(-0.1, -0.1, 0.0))
-    out = told(recorded_observation, action)
-    assert out.grasp
-    assert out.grasp.object == ""
-    nothing = told(recorded_observation, SearchAction(number=2))
+    bare = told(seen, SearchAction(number=1, grasp=grasp_at(*FLOOR, 0.0)))
+    assert (bool(bare.grasp), bare.grasp.object) == (True, "")
+    nothing = told(seen, SearchAction(number=2))
     assert (nothing.number, bool(nothing.grasp)) == (2, False)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.ports import inputs_of
-from tests.search.records import stripped
-from xray_drake.policy.ranking import Scores, SearchView
+from tests.search.watching import stripped
+from xray_drake.policy.ranking import Scores, SearchView, largest
 from xray_drake.policy.registry import POLICIES
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import build_search_diagram
@@ -24,20 +24,12 @@ class Recorder:
         self.seen: list[tuple[Any, ...]] = []
 
     def __call__(self, view: SearchView, rng: np.random.Generator) -> Scores:
+        labels, rho = view.instances.labels, view.occupancy.data
+        named = view.candidates, view.instances.names
         self.seen.append(
-            (
-                view.candidates,
-                view.instances.names,
-                view.instances.labels.tobytes(),
-                view.occupancy.data.tobytes(),
-                rng.random(),
-            )
+            (*named, labels.tobytes(), rho.tobytes(), rng.random())
         )
-        areas = dict(
-            zip(view.instances.names, view.instances.areas(), strict=True)
-        )
-        values = np.array([[float(areas[name])] for name in view.candidates])
-        return Scores(values, np.ones(len(values), bool))
+        return largest(view, rng)
 
 
 def nameless(record: SearchRecord) -> dict[str, Any]:
@@ -48,31 +40,25 @@ def nameless(record: SearchRecord) -> dict[str, Any]:
     return data
 
 
-PAPER = ("xray", "largest", "random")
-
-
 def test_one_ranking_under_any_name_gives_one_rollout(
     tiny_heap: Heap,
     tiny_scenario: Scenario,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Planner, candidates, perturbations, seeds: all else is the same."""
-    recorders, records = {}, {}
+    recorders, records = [], []
     tiny_scenario.horizon = 2
-    names = (*PAPER, "lookahead")
-    for name in names:
-        recorders[name] = Recorder()
-        kind = replace(POLICIES[name], ranking=recorders[name])
+    for name in ("xray", "largest", "random", "lookahead"):
+        recorders.append(Recorder())
+        kind = replace(POLICIES[name], ranking=recorders[-1])
         monkeypatch.setitem(POLICIES.registered, name, kind)
         tiny_scenario.policy.name = name
         diagram = build_search_diagram(tiny_scenario, heap=tiny_heap)
-        records[name] = run_search(diagram)
-        assert records[name].policy == name
-    first, *others = names
-    assert len(recorders[first].seen) == records[first].num_actions >= 2
-    for name in others:
-        assert recorders[name].seen == recorders[first].seen
-        assert nameless(records[name]) == nameless(records[first])
+        records.append(run_search(diagram))
+        assert records[-1].policy == name
+        assert recorders[-1].seen == recorders[0].seen
+        assert nameless(records[-1]) == nameless(records[0])
+    assert len(recorders[0].seen) == records[0].num_actions >= 2
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -97,15 +83,15 @@ def test_each_gets_what_it_needs_and_no_more(
     assert diagram.AreConnected(output, inference.GetInputPort("depth_image"))
     if imagines:
         assert diagram.AreConnected(output, policy.GetInputPort("depth_image"))
+    outputs = [
+        box.get_output_port(i)
+        for box in boxes.values()
+        for i in range(box.num_output_ports())
+    ]
     for box in boxes.values():
-        for i in range(box.num_input_ports()):
-            port = box.get_input_port(i)
-            if box is not boxes["heap_station"]:
-                assert any(
-                    diagram.AreConnected(other.get_output_port(k), port)
-                    for other in boxes.values()
-                    for k in range(other.num_output_ports())
-                )
+        for port in inputs_of(box) if box.get_name() != "heap_station" else []:
+            given = box.GetInputPort(port)
+            assert any(diagram.AreConnected(o, given) for o in outputs), port
 
 
 @pytest.mark.parametrize("name", ["oracle", "memory", "combined"])

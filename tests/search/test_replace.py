@@ -1,3 +1,6 @@
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
@@ -13,15 +16,34 @@ from xray_drake.messages import (
     TargetMask,
 )
 from xray_drake.scene.heap import Heap
-from xray_drake.search.diagram import SearchParts, build_search_diagram
+from xray_drake.search.diagram import (
+    SearchDiagram,
+    SearchParts,
+    build_search_diagram,
+)
 from xray_drake.search.rollout import run_search
 from xray_drake.station.scenario import Scenario
+
+
+@pytest.fixture
+def build(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> Callable[..., SearchDiagram]:
+    """Builds the tiny heap's search with other boxes."""
+    tiny_scenario.horizon = 2
+
+    def built(replace: dict[str, Any], **options: bool) -> SearchDiagram:
+        return build_search_diagram(
+            tiny_scenario, heap=tiny_heap, replace=replace, **options
+        )
+
+    return built
 
 
 class Everywhere(LeafSystem):
     """Says that the target may be under anything that stands out."""
 
-    def __init__(self) -> None:
+    def __init__(self, parts: SearchParts) -> None:
         super().__init__()
         self.DeclareAbstractInputPort(
             "depth_image", Value(ImageDepth32F(512, 384))
@@ -67,16 +89,10 @@ class ByName(LeafSystem):
 
 
 def test_another_inference_and_another_policy(
-    tiny_scenario: Scenario, tiny_heap: Heap
+    build: Callable[..., SearchDiagram],
 ) -> None:
-    tiny_scenario.horizon = 2
-    diagram = build_search_diagram(
-        tiny_scenario,
-        heap=tiny_heap,
-        replace={
-            "occupancy_inference": lambda parts: Everywhere(),
-            "search_policy": ByName,
-        },
+    diagram = build(
+        {"occupancy_inference": Everywhere, "search_policy": ByName}
     )
     context = diagram.CreateDefaultContext()
     rho = diagram.GetOutputPort("occupancy_inference.occupancy").Eval(context)
@@ -87,7 +103,7 @@ def test_another_inference_and_another_policy(
 
 
 def test_a_detector_and_what_follows_it(
-    tiny_scenario: Scenario, tiny_heap: Heap
+    build: Callable[..., SearchDiagram],
 ) -> None:
     class Blind(LeafSystem):
         def __init__(self, parts: SearchParts) -> None:
@@ -98,18 +114,13 @@ def test_a_detector_and_what_follows_it(
                 calc=lambda context, output: None,
             )
 
-    build = build_search_diagram
-    seeing = build(tiny_scenario, heap=tiny_heap)
-    blind = build(
-        tiny_scenario, heap=tiny_heap, replace={"target_detector": Blind}
-    )
-    supports = [
+    seeing, blind = (
         diagram.GetOutputPort("occupancy_inference.occupancy")
         .Eval(diagram.CreateDefaultContext())
         .support_size()
-        for diagram in (seeing, blind)
-    ]
-    assert supports[1] > 2 * supports[0] > 0
+        for diagram in (build({}), build({"target_detector": Blind}))
+    )
+    assert blind > 2 * seeing > 0
 
 
 class Mute(LeafSystem):
@@ -120,7 +131,7 @@ class Mute(LeafSystem):
 
 class Wishful(Everywhere):
     def __init__(self, parts: SearchParts) -> None:
-        super().__init__()
+        super().__init__(parts)
         self.DeclareVectorInputPort("wind", 1)
 
 
@@ -131,49 +142,27 @@ class Blurred(LeafSystem):
         self.DeclareVectorOutputPort("occupancy", 1, lambda context, out: None)
 
 
+POLICY, INFERENCE = "search_policy", "occupancy_inference"
+
+
 @pytest.mark.parametrize(
-    ("name", "build", "said"),
+    ("name", "system", "said"),
     [
         ("heap_station", Mute, r"heap_station cannot be replaced.*search_pol"),
-        (
-            "search_policy",
-            Mute,
-            r"search_policy needs an output 'action'; it has answer",
-        ),
-        (
-            "occupancy_inference",
-            Wishful,
-            r"occupancy_inference has an input 'wind'.*depth_image",
-        ),
-        (
-            "occupancy_inference",
-            Blurred,
-            r"'depth_image' of occupancy_inference must be abstract-valued",
-        ),
-        ("search_policy", lambda parts: 1, r"search_policy.*returns 1"),
-        ("search_policy", 1, r"search_policy.*must be a function.*is 1"),
+        (POLICY, Mute, r"search_policy needs an output 'action'; it has answ"),
+        (INFERENCE, Wishful, r"_inference has an input 'wind'.*depth_image"),
+        (INFERENCE, Blurred, r"'depth_image' of .*_inference must be abstract"),
+        (POLICY, lambda parts: 1, r"search_policy.*returns 1"),
+        (POLICY, 1, r"search_policy.*must be a function.*is 1"),
     ],
 )
 def test_what_does_not_fit(
-    name: str,
-    build: type,
-    said: str,
-    tiny_scenario: Scenario,
-    tiny_heap: Heap,
+    build: Callable[..., SearchDiagram], name: str, system: Any, said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        build_search_diagram(
-            tiny_scenario, heap=tiny_heap, replace={name: build}
-        )
+        build({name: system})
 
 
-def test_an_agent_needs_the_policy(
-    tiny_scenario: Scenario, tiny_heap: Heap
-) -> None:
+def test_an_agent_needs_the_policy(build: Callable[..., SearchDiagram]) -> None:
     with pytest.raises(ValueError, match="agent"):
-        build_search_diagram(
-            tiny_scenario,
-            heap=tiny_heap,
-            agent=True,
-            replace={"search_policy": ByName},
-        )
+        build({"search_policy": ByName}, agent=True)

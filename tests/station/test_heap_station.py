@@ -6,8 +6,7 @@ from pydrake.geometry import Role
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from tests.ports import inputs_of, outputs_of
-from xray_drake.geometry.camera import PinholeCamera
+from tests.ports import ports
 from xray_drake.scene.heap import Heap
 from xray_drake.station.heap_station import StationParts, build_heap_station
 from xray_drake.station.scenario import Scenario
@@ -29,14 +28,24 @@ class Station:
         self.diagram.GetInputPort("gripper.position").FixValue(context, gripper)
         return context
 
-    def image(self, name: str, context: Context) -> np.ndarray:
-        port = self.diagram.GetOutputPort(f"overhead.{name}_image")
-        return np.array(port.Eval(context).data)
+    def output(self, name: str, context: Context) -> Any:
+        return self.diagram.GetOutputPort(name).Eval(context)
 
-    def pose(self, name: str, context: Context) -> np.ndarray:
-        plant_context = self.parts.plant.GetMyContextFromRoot(context)
-        body = self.parts.objects[name].body
-        return body.EvalPoseInWorld(plant_context).GetAsMatrix4()
+    def images(self, context: Context) -> list[np.ndarray]:
+        """Returns depth, label and colour."""
+        return [
+            np.array(self.output(f"overhead.{name}_image", context).data)
+            for name in ("depth", "label", "color")
+        ]
+
+    def stays(self, heap: Heap, gripper: np.ndarray, duration: float) -> None:
+        """Checks that nothing moves."""
+        simulator = Simulator(self.diagram, self.context(gripper))
+        simulator.AdvanceTo(duration)
+        poses = self.output("cheat.body_poses", simulator.get_context())
+        for name, X_WO in heap.poses.items():
+            now = poses[self.parts.labels[name]].translation()
+            np.testing.assert_allclose(now, X_WO[:3, 3], atol=3e-4)
 
 
 @pytest.fixture(scope="module")
@@ -45,62 +54,42 @@ def station(tiny_heap: Heap) -> Station:
 
 
 def test_ports_are_named(station: Station) -> None:
-    diagram = station.diagram
-    assert diagram.get_name() == "heap_station"
-    assert set(inputs_of(diagram)) == {
-        "applied_spatial_force",
-        "gripper.position",
-    }
-    assert set(outputs_of(diagram)) == {
-        "overhead.color_image",
-        "overhead.depth_image",
-        "overhead.label_image",
-        "overhead.camera",
-        "query_object",
-        "contact_results",
-        "cheat.body_poses",
-        "cheat.body_spatial_velocities",
+    inputs, outputs = ports(station.diagram)
+    assert station.diagram.get_name() == "heap_station"
+    assert set(inputs) == {"applied_spatial_force", "gripper.position"}
+    assert set(outputs) == {
+        *(f"overhead.{kind}_image" for kind in ("color", "depth", "label")),
+        *("overhead.camera", "query_object", "contact_results"),
+        *("cheat.body_poses", "cheat.body_spatial_velocities"),
     }
 
 
-def test_the_default_context_has_the_heap(
+def test_the_default_context_has_the_heap_at_rest(
     station: Station, tiny_heap: Heap
 ) -> None:
     context = station.context()
-    poses = station.diagram.GetOutputPort("cheat.body_poses").Eval(context)
-    velocities = station.diagram.GetOutputPort(
-        "cheat.body_spatial_velocities"
-    ).Eval(context)
+    poses = station.output("cheat.body_poses", context)
+    velocities = station.output("cheat.body_spatial_velocities", context)
     for name, X_WO in tiny_heap.poses.items():
         index = int(station.parts.objects[name].body.index())
         np.testing.assert_allclose(
             poses[index].GetAsMatrix4(), X_WO, atol=1e-12
         )
         assert not velocities[index].get_coeffs().any()
-
-
-def test_the_heap_stays_at_rest(station: Station, tiny_heap: Heap) -> None:
-    simulator = Simulator(station.diagram, station.context())
-    simulator.AdvanceTo(0.3)
-    for name, X_WO in tiny_heap.poses.items():
-        now = station.pose(name, simulator.get_context())
-        np.testing.assert_allclose(now[:3, 3], X_WO[:3, 3], atol=3e-4)
+    station.stays(tiny_heap, HOME, 0.3)
 
 
 def test_images(
     station: Station, tiny_heap: Heap, recorded_observation: Any
 ) -> None:
     context = station.context()
-    depth, label, color = (
-        station.image(name, context) for name in ("depth", "label", "color")
-    )
+    depth, label, color = station.images(context)
     assert (depth.shape, depth.dtype) == ((384, 512, 1), np.float32)
     assert (label.shape, label.dtype) == ((384, 512, 1), np.int16)
     assert (color.shape, color.dtype) == ((384, 512, 4), np.uint8)
     np.testing.assert_array_equal(depth[..., 0], recorded_observation.depth)
     np.testing.assert_array_equal(label[..., 0], recorded_observation.labels)
-    camera = station.diagram.GetOutputPort("overhead.camera").Eval(context)
-    assert isinstance(camera, PinholeCamera)
+    camera = station.output("overhead.camera", context)
     assert camera.shape == (384, 512)
     book = label[..., 0] == station.parts.labels["book"]
     u, v, z = camera.project(tiny_heap.poses["book"][:3, 3] + [0, 0, 0.01])
@@ -112,15 +101,13 @@ def test_images(
 def test_the_drawn_gripper_is_not_seen(
     station: Station, gripper: np.ndarray
 ) -> None:
-    away, here = station.context(), station.context(gripper)
-    for name in ("depth", "label", "color"):
-        np.testing.assert_array_equal(
-            station.image(name, here), station.image(name, away)
-        )
+    away, here = (station.images(station.context(g)) for g in (HOME, gripper))
+    for one, other in zip(away, here, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_the_drawn_gripper_is_drawn_and_touches_nothing(
-    station: Station,
+    station: Station, tiny_heap: Heap
 ) -> None:
     inspector = station.parts.scene_graph.model_inspector()
     gripper = [
@@ -135,11 +122,7 @@ def test_the_drawn_gripper_is_drawn_and_touches_nothing(
         assert inspector.GetProximityProperties(geometry) is None
         assert inspector.GetPerceptionProperties(geometry) is None
     assert inspector.NumGeometriesWithRole(Role.kProximity) == 10 + 5 + 6
-    simulator = Simulator(station.diagram, station.context(IN_THE_HEAP))
-    before = station.pose("plank", simulator.get_context())
-    simulator.AdvanceTo(0.1)
-    after = station.pose("plank", simulator.get_context())
-    np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=3e-4)
+    station.stays(tiny_heap, IN_THE_HEAP, 0.1)
 
 
 def test_a_camera_on_a_body(tiny_heap: Heap) -> None:

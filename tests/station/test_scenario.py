@@ -5,6 +5,7 @@ import typing
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from hypothesis import strategies as st
 from pydrake.common.schema import Rotation, Transform
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import Rgba
-from pydrake.math import RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
 from xray_drake.configuration import fields_of, rules_of
@@ -51,47 +51,50 @@ def complaint(text: str) -> str:
     return message
 
 
-def test_the_demo_comes_with_the_package() -> None:
-    assert "demo" in scenario_names()
-    demo = load_scenario("demo")
-    assert (demo.name, demo.scene.target) == ("demo", "box_2to1")
-    assert (demo.scene.num_objects, demo.horizon) == (14, 10)
-    assert demo.policy.target_first
-    assert demo.policy.min_visible_pixels == 50
+PACKAGE = {
+    "demo": {
+        "scene.target": "box_2to1",
+        "scene.num_objects": 14,
+        "perception.occupancy": "learned",
+        "policy.min_visible_pixels": 50,
+    },
+    "table2": {
+        "scene.num_objects": 14,
+        "scene.heap.arrangement": "one_by_one",
+        "scene.split": "test",
+        "scene.packaged": True,
+        "scene.packaged_share": pytest.approx(13 / 59, abs=1e-5),
+        "scene.most_visible": 0.9,
+        "perception.detector": "ground_truth",
+        "perception.segmenter": "ground_truth",
+        "gripper.grasps": "models",
+        "gripper.execution": "quasi_static",
+    },
+    "table3": {
+        "scene.target": "box_2to1",
+        "scene.num_objects": 24,
+        "scene.heap.arrangement": "dump",
+        "scene.split": "test",
+        "scene.most_visible": 0.9,
+        "perception.detector": "hsv",
+        "perception.segmenter": "depth",
+        "perception.noise": True,
+        "gripper.grasps": "depth",
+        "gripper.execution": "contact",
+        # Weak grasps are tried before strong ones on what hides less.
+        "policy.min_grasp_quality": pytest.approx(0.05, abs=0.049),
+    },
+}
 
 
-def test_table_2_is_as_the_protocol_says() -> None:
-    table2 = load_scenario("table2")
-    assert table2.scene.num_objects == 14
-    assert table2.scene.heap.arrangement == "one_by_one"
-    assert (table2.scene.split, table2.scene.packaged) == ("test", True)
-    assert table2.scene.packaged_share == pytest.approx(13 / 59, abs=1e-5)
-    assert table2.scene.most_visible == 0.9
-    assert table2.perception.detector == "ground_truth"
-    assert table2.perception.segmenter == "ground_truth"
-    assert table2.gripper.grasps == "models"
-    assert table2.gripper.execution == "quasi_static"
-    assert table2.horizon == 10
-    assert table2.policy.target_first
-
-
-def test_table_3_is_as_the_protocol_says() -> None:
-    table3 = load_scenario("table3")
-    assert table3.scene.target == "box_2to1"
-    assert table3.scene.num_objects == 24
-    assert table3.scene.heap.arrangement == "dump"
-    assert (table3.scene.split, table3.scene.most_visible) == ("test", 0.9)
-    assert table3.perception.detector == "hsv"
-    assert table3.perception.segmenter == "depth"
-    assert table3.perception.noise
-    assert table3.gripper.grasps == "depth"
-    assert table3.gripper.execution == "contact"
-    assert table3.horizon == 10
-    assert table3.policy.target_first
-    # Weak grasps are tried before strong ones on what hides less.
-    assert 0 < table3.policy.min_grasp_quality < 0.1
-    table3.scene.target = "domino"
-    check_scenario(table3)
+@pytest.mark.parametrize("name", PACKAGE)
+def test_scenarios_are_as_the_protocol_says(name: str) -> None:
+    scenario = load_scenario(name)
+    expected = {"name": name, "horizon": 10, "policy.target_first": True}
+    for path, value in (expected | PACKAGE[name]).items():
+        assert attrgetter(path)(scenario) == value, path
+    scenario.scene.target = "domino"
+    check_scenario(scenario)
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -133,23 +136,10 @@ def test_settings_deep_inside() -> None:
 
 COMPLAINTS = r"""
 horizn: 3 | horizn | did you mean horizon?
-scene: {targt: lid} | scene.targt | mean scene.target?
-scene: {heap: {foo: 1}} | scene.heap.foo
-gripper: {quasi_static: {perturbation: {sigma: 1}}}
-    | gripper.quasi_static.perturbation.sigma
-1: 2 | unknown key 1
-camera: {widht: 320} | widht
 camera: {widht: 320} | camera.widht | mean camera.width?
-plant_config: {timestep: 0.1} | plant_config.timestep
 seed: 1\nhorizon: 2\nseed: 2 | stands twice
-scene: {num_objects: 1, num_objects: 2} | stands twice
-camera: {width: 10, width: 20} | stands twice
 { | not YAML
-a: *b | not YAML
-a: b: c | not YAML
 - a\n- b | top level | list
-demo | top level | str
-3 | top level | int
 scene: {target: spoon} | scene.target | 'spoon' | box_1to1 | lid | domino
     | flute | cube | mug
 perception: {geometric: {poses: upright}} | geometric.poses | 'upright'
@@ -161,8 +151,7 @@ perception: {occupancy: eye} | perception.occupancy | geometric
 perception: {occupancy: geometric_label, geometric: {poses: resting}}
     | perception.geometric.poses is resting | occupancy: geometric
 gripper: {grasps: eye} | gripper.grasps | models, depth
-gripper: {execution: eye} | gripper.execution | quasi_static
-gripper: {execution: eye} | gripper.execution | contact
+gripper: {execution: eye} | gripper.execution | quasi_static, contact
 gripper: {carrier: crane} | gripper.carrier | wrist, arm
 {gripper: {execution: contact}, plant_config: {contact_model: point}}
     | execution is contact | contact_model is 'point'
@@ -172,28 +161,13 @@ gripper: {carrier: crane} | gripper.carrier | wrist, arm
 plant_config: {contact_model: soft} | contact_model | 'soft'
 perception: {dtype: float16} | perception.dtype | 'float16' | float32, bfloat16
 scene: {num_objects: 0} | scene.num_objects is 0: it must be from 1
-scene: {num_objects: -2} | scene.num_objects | -2
 horizon: 0 | horizon is 0: it must be from 1
 seed: -1 | seed is -1: it must be from 0
 perception: {occupancy: geometric_label, geometric: {rotations: 24}}
     | perception.geometric.rotations is 24 | multiple
-plant_config: {time_step: -1} | plant_config.time_step
 camera: {name: ''} | camera.name
-camera: {width: 0} | camera.width | 0
 camera: {renderer_class: RenderEngineGl} | RenderEngineGl
-gripper: {quasi_static: {approach_time: 0}} | gripper.quasi_static.approach_time
-gripper: {contact: {touch_speed: 0}} | gripper.contact.touch_speed
-perception: {depth_segmenter: {arm: 0}} | perception.depth_segmenter.arm
-scene: {heap: {max_attempts: 0}} | scene.heap.max_attempts
-horizon: ten | horizon
-horizon: 1.5 | horizon | 1.5
-seed: null | seed
-scene: {num_objects: many} | num_objects | many
-scene: {meshes: [1]} | 1
-scene: 5 | scene
-scene: | scene
 policy: xray | policy
-scene: {meshes: some/dir} | scene.meshes
 scene: {split: all} | scene.split is 'all': choose one of train
 scene: {heap: {arrangement: pile}}
     | scene.heap.arrangement is 'pile': choose one of one_by_one, dump
@@ -206,20 +180,8 @@ scene: {most_visible: 90} | scene.most_visible is 90: it must be from 0 to 1
 scene: {packaged: true, packaged_share: -0.1}
     | scene.packaged_share is -0.1: it must be from 0 to 1
 scene: {packaged_share: 0.2} | scene.packaged_share needs scene.packaged: true
-scene: {contact: {tumble_time: 0}} | scene.contact.tumble_time
-camera_sampling: {enable: true} | mean camera_sampling.enabled?
-gripper: {parameters: {friction: -1}} | parameters.friction is -1
-policy: {min_grasp_quality: .nan} | min_grasp_quality is nan
-perception: {geometric: {accept_iou: 5}} | geometric.accept_iou is 5
-perception: {geometric: {floor: [1, 0, 0]}} | must be 4 numbers, not 3
-perception: {geometric: {floor: [1, 0, 0, 1]}} | each low below its hi
 perception: {exact: {cell: 0}} | perception.geometric.cell is 0
-perception: {geometric: {rotations: 0}} | geometric.rotations is 0
-perception: {hsv: {hue: .nan}} | perception.hsv.hue is nan
-perception: {depth_noise: {sigma: -1}} | depth_noise.sigma is -1
-perception: {geometric: {label: {cost: 0}}} | geometric.label.cost is 0
 simulator_config: {accuracy: -1} | simulator_config.accuracy is -1
-simulator_config: {accuracy: .inf} | simulator_config.accuracy is
 simulator_config: {integration_scheme: foo}
     | simulator_config.integration_scheme is 'foo': choose one of
 plant_config: {penetration_allowance: 0} | penetration_allowance is
@@ -231,20 +193,16 @@ camera: {focal: {x: -1}} | camera.focal.x is -1
 camera: {focal: !FovDegrees {x: 200}} | camera.focal.x is 200
 camera: {focal: !Fov {x: 50}} | camera.focal is tagged !Fov
 camera: {width: 512.5} | camera.width is 512.5: it must be a whole
-camera: {width: true} | camera.width is True: it must be a whole
 camera: {center_x: left} | camera.center_x is 'left'
 camera: {background: {rgba: [2, 0, 0, 1]}} | background.rgba is [2
 camera: {X_PB: {translation: [0, a, 1]}} | X_PB.translation[1] is
-camera: {X_PB: {translation: [0, .nan, 1]}} | X_PB.translation is [
 camera: {X_PB: {translation: [0, 1]}} | camera.X_PB.translation
 camera: {output_delay: 0.1} | camera.output_delay is 0.1
 camera: {X_PB: {rotation: !Rpy {deg: [0, 0, 0]}}} | camera: X_PB: th
 camera: {X_PB: {translation: [0, 0, -1]}} | does not look at the bin
-camera: {X_PB: {translation: [5, 0, 1]}} | does not look at the bin
 camera: {X_PB: {translation: [0, 0, 4]}} | out of the sensor's range
 camera: {X_BD: {translation: [0, 0.1, 0]}} | X_BD is not X_BC
 camera_sampling: {least_radius: 2} | least_radius is 2.0: it must be
-camera_sampling: {most_angle: 120} | camera_sampling.most_angle is
 visualization: {publish_period: 0} | visualization.publish_period
 visualization: {publish_contacts: false} | publish_contacts is Fal
 gripper: {execution: contact, parameters: {pad_width: 0.02}}
@@ -254,13 +212,6 @@ gripper: {contact: {lost: 0.95}} | gripper.contact.lost is 0.95: it
 gripper: {planner: {perturbation: {friction_min: 0.6}}}
     | planner.perturbation.friction_min is 0.6: it must be at most 0.5
 seed: 9223372036854775808 | seed is 9223372036854775808: it must be
-seed: 010 | seed is '010': it must be a whole number
-horizon: true | horizon is True: it must be a whole number
-scene: {mesh_scale: .inf} | scene.mesh_scale is inf
-scene: {heap: {drop_period: -0.1}} | scene.heap.drop_period is -0.1
-name: 5 | name is 5: it must be text
-scene: {target: ''} | scene.target is '': choose one of
-scene: {meshes: [1]} | scene.meshes[0] is 1: it must be text
 perception: {segmenter: depth} | perception.segmenter is depth
     | gripper.grasps is models
 """
@@ -289,41 +240,24 @@ def test_no_such_scenario(name: str) -> None:
     assert repr(name) in str(caught.value)
 
 
-def test_no_such_file(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"nope\.yaml"):
         load_scenario(tmp_path / "nope.yaml")
-
-
-def test_a_file_that_is_not_text(tmp_path: Path) -> None:
     path = tmp_path / "image.yaml"
     path.write_bytes(bytes(range(128, 256)))
     with pytest.raises(ScenarioError, match=r"image\.yaml"):
         load_scenario(path)
 
 
-def test_a_dump_holds_what_differs_and_reads_back() -> None:
-    assert parse_scenario(dump_scenario(Scenario()), SOURCE).seed == 0
-    scenario = Scenario(name="mine", seed=12, horizon=3)
-    scenario.scene.target = "flute"
-    scenario.scene.meshes = ["a folder/x", "b"]
-    scenario.scene.heap.rest_motion = 1e-5
-    scenario.camera.width = 320
+def test_a_dump_holds_what_differs() -> None:
+    assert dump_scenario(Scenario()).strip() == "{}"
+    scenario = Scenario(seed=12)
     scenario.camera.X_PB.translation = [0.1, 0.0, 0.9]
-    scenario.gripper.quasi_static.perturbation.friction = 0.4
-    scenario.plant_config.time_step = 0.004
     text = dump_scenario(scenario)
-    assert "num_objects" not in text
-    assert "stiction_tolerance" not in text
-    assert whole(parse_scenario(text, SOURCE)) == whole(scenario)
-
-
-def test_a_tilted_camera_survives_a_dump() -> None:
-    scenario = Scenario()
-    scenario.camera.X_PB.rotation = Rotation(
-        value=Rotation.Rpy(deg=[175.0, 5.0, 20.0])
-    )
-    read = parse_scenario(dump_scenario(scenario), SOURCE)
-    assert whole(read) == whole(scenario)
+    assert "seed: 12" in text
+    assert "0.9" in text
+    for usual in ("num_objects", "stiction_tolerance", "rotation"):
+        assert usual not in text
 
 
 @pytest.mark.parametrize(
@@ -457,14 +391,13 @@ def test_what_is_written_is_read_again(scenario: Scenario) -> None:
 
 
 def test_every_field_matters_to_equality() -> None:
-    scenario = Scenario()
-    assert scenario == Scenario()
+    scenario, other = Scenario(), Scenario()
+    assert scenario == other
     assert scenario != "demo"
     scenario.camera.center_x = None
-    assert scenario != Scenario()
-    scenario = Scenario()
-    scenario.gripper.planner.judgement.clearance = 0.004
-    assert scenario != Scenario()
+    other.gripper.planner.judgement.clearance = 0.004
+    assert len({*map(whole, (scenario, other, Scenario()))}) == 3
+    assert scenario != other != Scenario() != scenario
 
 
 def test_a_camera_centred_by_null_stays_so() -> None:
@@ -487,14 +420,6 @@ def test_cameras_are_drawn_around_one_centred_by_null() -> None:
     assert drawn.center_x == pytest.approx(255.5, abs=3.0)
 
 
-def test_a_scenario_can_be_pickled_and_copied() -> None:
-    scenario = load_scenario("table3")
-    scenario.camera.focal = CameraConfig.FovDegrees(x=50.0)
-    for other in (pickle.loads(pickle.dumps(scenario)), deepcopy(scenario)):
-        assert other == scenario
-        assert other.camera is not scenario.camera
-
-
 def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("scene: {meshes: [in, /out]}\n")
@@ -513,12 +438,3 @@ def test_paths_of_records_hold_everywhere(
     assert read.scene.meshes == [f"{tmp_path}/in"]
     assert read.perception.weights == f"{tmp_path}/w.safetensors"
     assert scenario.scene.meshes == ["in"]
-
-
-def test_a_pose_of_another_kind_than_the_default() -> None:
-    scenario = Scenario()
-    scenario.camera.X_PB = Transform(
-        translation=[0.0, 0.0, 0.8],
-        rotation=Rotation(RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix()),
-    )
-    assert parse_scenario(dump_scenario(scenario), SOURCE) == scenario

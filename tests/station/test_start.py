@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -8,64 +8,46 @@ from xray_drake.station.scenario import Scenario
 from xray_drake.station.start import look_at_heap, target_view
 
 TARGET = "box_2to1"
-LABELS = {TARGET: 1, "fork": 2, "book": 3, "cup": 4}
+LABELS = {TARGET: 1, "fork": 2, "book": 3, "cup": 4, "bin": 9}
+AMODAL = np.zeros((60, 80), bool)
+AMODAL[10:20, 10:30] = True
+"""A target of 20 × 10 pixels."""
 
 
-def scene() -> tuple[np.ndarray, np.ndarray]:
-    """Returns labels and amodal mask of a target of 20 × 10 pixels."""
-    labels = np.zeros((60, 80), int)
-    amodal = np.zeros((60, 80), bool)
-    amodal[10:20, 10:30] = True
-    labels[amodal] = LABELS[TARGET]
-    return labels, amodal
-
-
-def test_a_target_in_full_view() -> None:
-    labels, amodal = scene()
-    labels[40:50, 40:60] = LABELS["book"]
-    view = target_view(labels, amodal, LABELS, TARGET)
-    assert (view.target_pixels, view.target_visible_fraction) == (200, 1.0)
-    assert (view.cover_pixels, view.cover_fraction, view.num_covers) == (
-        *(0, 0, 0),
-    )
-
-
-def test_what_covers_most_of_it_is_the_cover() -> None:
-    labels, amodal = scene()
-    labels[15:50, 5:40] = LABELS["book"]  # over 5 of its 10 rows
-    labels[5:60, 12:15] = LABELS["fork"]  # then over 3 of its 20 columns
-    view = target_view(labels, amodal, LABELS, TARGET)
-    assert view.target_pixels == 200
-    assert view.target_visible_fraction == pytest.approx(5 * 17 / 200)
-    # Its whole modal mask, but for what the fork hides.
-    assert view.cover_pixels == 35 * 35 - 35 * 3
-    assert view.cover_fraction == pytest.approx(5 * 17 / 200)
-    assert view.num_covers == 2
-
-
-def test_a_hidden_target() -> None:
-    labels, amodal = scene()
-    labels[amodal] = LABELS["cup"]
-    view = target_view(labels, amodal, LABELS, TARGET)
-    assert (view.target_visible_fraction, view.cover_fraction) == (0, 1)
-    assert view.cover_pixels == view.target_pixels == 200
-
-
-def test_a_touch_of_the_edge_is_no_cover() -> None:
-    labels, amodal = scene()
-    labels[19, 10] = LABELS["book"]
-    labels[20:50] = LABELS["book"]
-    view = target_view(labels, amodal, LABELS, TARGET)
-    assert view.num_covers == view.cover_pixels == 0
-    assert view.target_visible_fraction == pytest.approx(199 / 200)
-
-
-def test_the_bin_is_no_cover() -> None:
-    labels, amodal = scene()
-    labels[10:15] = 9
-    view = target_view(labels, amodal, LABELS, TARGET)
-    assert view.num_covers == 0
-    assert view.target_visible_fraction == 0.5
+@pytest.mark.parametrize(
+    ("painted", "visible", "cover_pixels", "covered", "covers"),
+    [
+        pytest.param({"book": np.s_[40:50, 40:60]}, 1, 0, 0, 0, id="in view"),
+        pytest.param({"cup": np.s_[10:20, 10:30]}, 0, 200, 1, 1, id="hidden"),
+        pytest.param(
+            # Over 5 of its 10 rows, then over 3 of its 20 columns: the whole
+            # modal mask of the first counts, but for what the other hides.
+            {"book": np.s_[15:50, 5:40], "fork": np.s_[5:60, 12:15]},
+            *(5 * 17 / 200, 35 * 35 - 35 * 3, 5 * 17 / 200, 2),
+            id="what covers most of it is the cover",
+        ),
+        pytest.param(
+            {"book": np.s_[19:50, 10:11]},
+            *(199 / 200, 0, 0, 0),
+            id="a touch of the edge is no cover",
+        ),
+        pytest.param({"bin": np.s_[10:15]}, 0.5, 0, 0, 0, id="nor is the bin"),
+    ],
+)
+def test_what_is_seen_of_the_target_and_of_what_covers_it(
+    painted: dict[str, tuple[slice, ...]],
+    visible: float,
+    cover_pixels: int,
+    covered: float,
+    covers: int,
+) -> None:
+    labels = AMODAL.astype(int)
+    for name, place in painted.items():
+        labels[place] = LABELS[name]
+    objects = {name: LABELS[name] for name in LABELS if name != "bin"}
+    view = target_view(labels, AMODAL, objects, TARGET)
+    expected = (200, visible, cover_pixels, covered, covers)
+    assert astuple(view) == pytest.approx(expected)
 
 
 def test_a_heap_is_looked_at(tiny_scenario: Scenario, tiny_heap: Heap) -> None:
