@@ -1,11 +1,12 @@
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
@@ -136,82 +137,67 @@ def test_a_heap_without_its_target_is_drawn_again(
     with caplog.at_level(logging.WARNING):
         heap = first_wide_heap(lambda heap: "target left" in caplog.text)
     assert heap.attempts > 1
-    X_WT = heap.poses["box_2to1"]
-    assert inside_bin(X_WT[:3, 3])
-    assert X_WT[2, 3] < 0.1
-    failed = [f"seed {heap.seed}, draw {i}" for i in range(1, heap.attempts)]
-    assert all(draw in caplog.text for draw in failed)
-    assert f"seed {heap.seed}, draw {heap.attempts}" not in caplog.text
+    assert inside_bin(heap.poses["box_2to1"][:3, 3])
+    assert lowest(TARGET, heap.poses["box_2to1"]) < 0.1
     assert len(heap.failures) == heap.attempts - 1
-    for draw, failure in zip(failed, heap.failures, strict=True):
-        assert draw in failure
+    for attempt, failure in enumerate(heap.failures, start=1):
+        assert f"seed {heap.seed}, draw {attempt}" in failure
         assert failure in caplog.text
-
-
-def test_a_seed_that_fails_again_and_again(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    config = HeapConfig(rest_timeout=0.05, drop_period=0.05, max_attempts=2)
-    with (
-        caplog.at_level(logging.WARNING),
-        pytest.raises(HeapError, match="seed 10003: 2 heaps") as caught,
-    ):
-        drop_heap(TARGET, OBJECTS[:1], 10_003, config=config)
-    assert "\n" not in str(caught.value)
-    assert caplog.text.count("no rest within 0.05 s") == 2
+    assert f"seed {heap.seed}, draw {heap.attempts}" not in caplog.text
 
 
 @pytest.mark.parametrize(
     ("config", "contact", "reason"),
     [
-        (HeapConfig(drop_height=np.nan), ContactConfig(), "NaN"),
-        (HeapConfig(drop_height=np.nan, sleep=True), ContactConfig(), "NaN"),
-        (HeapConfig(), ContactConfig(pressure_gradient=1e30), "stopped"),
+        (
+            {"rest_timeout": 0.05, "drop_period": 0.05},
+            {},
+            "no rest within 0.05 s",
+        ),
+        ({"drop_height": np.nan}, {}, "NaN"),
+        ({"drop_height": np.nan, "sleep": True}, {}, "NaN"),
+        ({}, {"pressure_gradient": 1e30}, "stopped"),
     ],
 )
-def test_a_simulation_that_breaks_down_fails_the_draw(
-    config: HeapConfig,
-    contact: ContactConfig,
+def test_a_seed_that_fails_again_and_again(
+    config: dict[str, Any],
+    contact: dict[str, float],
     reason: str,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    config = replace(config, max_attempts=2)
     with (
         caplog.at_level(logging.WARNING),
-        pytest.raises(HeapError, match="seed 10000"),
+        pytest.raises(HeapError, match="seed 10003: 2 heaps") as caught,
     ):
-        drop_heap(TARGET, OBJECTS[:1], 10_000, config=config, contact=contact)
-    assert caplog.text.count("seed 10000, draw") == 2
+        drop_heap(
+            TARGET,
+            OBJECTS[:1],
+            10_003,
+            config=HeapConfig(max_attempts=2, **config),
+            contact=ContactConfig(**contact),
+        )
+    assert "\n" not in str(caught.value)
+    assert caplog.text.count("seed 10003, draw") == 2
     assert caplog.text.count(reason) == 2
 
 
-@pytest.fixture(scope="module")
-def grown() -> Heap:
-    return drop_heap(TARGET, OBJECTS, 10_000, snapshots=(1, 2, 3))
-
-
-def test_a_growing_heap_is_remembered(grown: Heap) -> None:
-    assert [heap.num_dropped for heap in grown.growth] == [1, 2]
-    times = [heap.settle_time for heap in (*grown.growth, grown)]
+def test_a_growing_heap_is_remembered() -> None:
+    """What was there before has at most been pushed by what fell on it."""
+    grown = drop_heap(TARGET, OBJECTS, 10_000, snapshots=(1, 2, 3))
+    heaps = (*grown.growth, grown)
+    assert [heap.num_dropped for heap in heaps] == [1, 2, 3]
+    times = [heap.settle_time for heap in heaps]
     assert times == sorted(times)
     for heap in grown.growth:
         assert heap.models == (TARGET, *OBJECTS[: heap.num_dropped])
         assert set(heap.poses) == {model.name for model in heap.models}
         assert all(inside_bin(X_WO[:3, 3]) for X_WO in heap.poses.values())
-        assert (heap.seed, heap.attempts) == (10_000, 1)
-        assert heap.growth == ()
-    assert grown.num_dropped == 3
-    assert max(motion(grown, 0.5).values()) < 1e-3
-
-
-def test_snapshots_are_taken_of_one_and_the_same_heap(grown: Heap) -> None:
-    """What was there before has at most been pushed by what fell on it."""
-    one, two = grown.growth
-    for before, after in ((one, two), (two, grown)):
+        assert (heap.seed, heap.attempts, heap.growth) == (10_000, 1, ())
+    for before, after in pairwise(heaps):
         for name in before.poses:
             step = after.poses[name][:3, 3] - before.poses[name][:3, 3]
             assert np.linalg.norm(step) < 0.1
-    assert drop_heap(TARGET, OBJECTS[:2], 10_000).growth == ()
+    assert max(motion(grown, 0.5).values()) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -242,38 +228,27 @@ def test_however_it_is_dropped_the_seed_makes_the_same_heap(
 def test_what_is_dumped_overlaps_nothing_before_it_falls(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    tops: list[float] = []
-    bottoms: list[float] = []
-    places: list[tuple[np.ndarray, np.ndarray]] = []
+    bounds: list[tuple[np.ndarray, np.ndarray]] = []
     release = module._Drop._release
 
-    def noted(
-        drop: Any, item: PlantObject, R: RotationMatrix, xy: Any, z: float
-    ) -> None:
-        release(drop, item, R, xy, z)
-        points = item.model.visual.vertices @ drop._pose(item)[:3, :3].T
-        points = points + drop._pose(item)[:3, 3]
-        bottoms.append(points[:, 2].min())
-        tops.append(points[:, 2].max())
-        places.append((points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
+    def noted(drop: Any, item: PlantObject, *where: Any) -> None:
+        release(drop, item, *where)
+        X_WO = drop._pose(item)
+        points = item.model.visual.vertices @ X_WO[:3, :3].T + X_WO[:3, 3]
+        bounds.append((points.min(axis=0), points.max(axis=0)))
 
     monkeypatch.setattr(module._Drop, "_release", noted)
     config = HeapConfig(arrangement="dump")
     assert drop_heap(TARGET, OBJECTS, 10_001, config=config).attempts == 1
-    assert bottoms[0] == pytest.approx(0.05)  # the target, alone
-    assert min(bottoms[1:]) == pytest.approx(0.25, abs=2e-3)
-    for i in range(2, 4):
-        for j in range(1, i):
-            (low, high), (least, most) = places[i], places[j]
-            if (low < most).all() and (high > least).all():
-                assert bottoms[i] > tops[j] or bottoms[j] > tops[i]
-    for low, high in places[1:]:
-        if (high - low)[0] < 0.3:
-            assert low[0] > -0.15 - 1e-9
-            assert high[0] < 0.15 + 1e-9
-        if (high - low)[1] < 0.24:
-            assert low[1] > -0.12 - 1e-9
-            assert high[1] < 0.12 + 1e-9
+    target, *dumped = bounds
+    assert target[0][2] == pytest.approx(0.05)  # alone
+    assert min(low[2] for low, _ in dumped) == pytest.approx(0.25, abs=2e-3)
+    for (low, high), (other_low, other_high) in combinations(dumped, 2):
+        assert ((low >= other_high) | (other_low >= high)).any()
+    half = np.array([config.tray_length, config.tray_width]) / 2
+    for low, high in dumped:
+        fits = (high - low)[:2] < 2 * half
+        assert (np.maximum(-low, high)[:2] < half + 1e-9)[fits].all()
 
 
 @pytest.mark.parametrize(
@@ -301,26 +276,19 @@ def test_however_it_is_dropped_a_heap_rests_when_all_are_awake(
         assert heap.settle_time < len(MANY) * 0.28 + 4.0
 
 
+DUMP = {"config": HeapConfig(arrangement="dump")}
+PILE = {"config": HeapConfig(arrangement="pile")}
+TWIN = replace(OBJECTS[0], name="box_2to1")
+
+
 @pytest.mark.parametrize(
     ("objects", "options", "reason"),
     [
         ([], {}, "at least one object"),
-        (
-            [replace(OBJECTS[0], name="box_2to1")],
-            {},
-            "distinct names.*box_2to1",
-        ),
-        (
-            OBJECTS,
-            {"config": HeapConfig(arrangement="dump"), "snapshots": (1,)},
-            "no snapshots",
-        ),
+        ([TWIN], {}, "distinct names.*box_2to1"),
+        (OBJECTS, {**DUMP, "snapshots": (1,)}, "no snapshots"),
         (OBJECTS, {"snapshots": (1, 4)}, "each must be from 1 to 3"),
-        (
-            OBJECTS,
-            {"config": HeapConfig(arrangement="pile")},
-            "pile.*one_by_one, dump",
-        ),
+        (OBJECTS, PILE, "pile.*one_by_one, dump"),
     ],
 )
 def test_a_heap_that_cannot_be_asked_for(
@@ -373,22 +341,22 @@ def test_tilt_is_measured_from_either_face(
     assert tiny_heap.target_tilt == 0.0
 
 
+@pytest.mark.parametrize(
+    ("target", "more"), [("box_2to1", []), ("cube", [(7, "resting pose", 1)])]
+)
 def test_a_flat_target_draws_from_no_other_stream(
-    monkeypatch: pytest.MonkeyPatch,
+    target: str, more: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """So heaps over flat targets are as if there were no tall ones."""
     asked = []
 
-    def recorded(seed: int, purpose: str, *numbers: int) -> Any:
-        asked.append((seed, purpose, *numbers))
-        return stream(seed, purpose, *numbers)
+    def recorded(*arguments: Any) -> Any:
+        asked.append(arguments)
+        return stream(*arguments)
 
     monkeypatch.setattr(module, "stream", recorded)
-    drop_heap(TARGET, OBJECTS[:1], 7)
-    assert asked == [(7, "heap", 1)]
-    asked.clear()
-    drop_heap(target_model("cube"), OBJECTS[:1], 7)
-    assert asked == [(7, "heap", 1), (7, "resting pose", 1)]
+    drop_heap(target_model(target), OBJECTS[:1], 7)
+    assert asked == [(7, "heap", 1), *more]
 
 
 def test_a_tall_target_falls_in_its_resting_poses() -> None:
