@@ -64,12 +64,6 @@ def test_cavities_are_hollow_and_what_lies_in_them_is_not(grouped):
     assert closed(*hollow, grouped=grouped).convex == ()
 
 
-def test_a_file_inside_out_is_turned():
-    hollow = [box(*OUTER, inside_out=True), box(*INNER)]
-    assert volume(*hollow) == pytest.approx(144)
-    assert volume(box(*OUTER, inside_out=True)) == pytest.approx(192)
-
-
 @pytest.mark.parametrize("grouped", [True, False])
 @pytest.mark.parametrize(
     "shift",
@@ -121,53 +115,6 @@ def test_the_order_and_place_of_faces_change_nothing(seed):
     assert volume(loose) == pytest.approx(144, rel=1e-4)
 
 
-def test_faces_that_are_there_twice_count_once():
-    shape = ball()
-    twice = np.concatenate([shape.faces, shape.faces])
-    mesh = trimesh.Trimesh(shape.vertices, twice, process=False)
-    assert volume(mesh) == pytest.approx(shape.volume * 1e6)
-    both = np.concatenate([shape.faces, shape.faces[:, ::-1]])
-    made = closed(trimesh.Trimesh(shape.vertices, both, process=False))
-    assert made.mesh.volume == pytest.approx(shape.volume)
-    assert "twice" in made.repairs[0]
-
-
-def test_faces_that_look_anywhere_are_turned_and_that_is_said():
-    shape = ball()
-    flip = np.random.default_rng(0).random(len(shape.faces)) < 0.3
-    faces = np.where(flip[:, None], shape.faces[:, ::-1], shape.faces)
-    made = closed(trimesh.Trimesh(shape.vertices, faces, process=False))
-    assert made.mesh.volume == pytest.approx(shape.volume)
-    assert "faces turned over" in made.repairs[0]
-
-
-def test_a_body_inside_out_beside_others_is_turned_and_that_is_said():
-    cube = [0.04] * 3
-    made = closed(box(*cube), box(*cube, at=(0.06, 0, 0), inside_out=True))
-    assert made.mesh.volume == pytest.approx(1.28e-4)
-    assert "inside out" in made.repairs[0]
-
-
-def test_holes_are_filled_and_that_is_said():
-    shape = ball()
-    few = shape.copy()
-    few.update_faces(np.arange(len(shape.faces)) % 60 != 0)
-    made = closed(few)
-    assert made.mesh.volume == pytest.approx(shape.volume, rel=0.02)
-    assert "21 holes filled (2% of its surface)" in made.repairs
-    tall = box(0.04, 0.04, 0.12)
-    tall.update_faces(tall.face_normals[:, 2] < 0.5)
-    made = closed(tall)
-    assert made.mesh.volume == pytest.approx(1.92e-4)
-    assert "a hole filled (7% of its surface)" in made.repairs
-
-
-def test_a_shell_that_looks_outward_is_filled_and_that_is_said():
-    made = closed(box(*OUTER), box(*INNER))
-    assert made.mesh.volume == pytest.approx(1.92e-4)
-    assert "within other bodies taken as solid (20%)" in made.repairs[0]
-
-
 def ribbon(path, width):
     """A bar of square section along a path in a plane."""
     path = np.array(path, dtype=float)
@@ -181,62 +128,111 @@ def ribbon(path, width):
         for side, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
     end = 4 * (len(path) - 1)
-    faces = [
-        [0, 2, 1],
-        [0, 3, 2],
-        [end, end + 1, end + 2],
-        [end, end + 2, end + 3],
-    ]
+    quads = [[0, 3, 2, 1], [end, end + 1, end + 2, end + 3]]
     for start in range(0, end, 4):
         for k in range(4):
             a, b = start + k, start + (k + 1) % 4
-            faces += [[a, b, b + 4], [a, b + 4, a + 4]]
-    return trimesh.Trimesh(vertices, faces, process=False)
+            quads.append([a, b, b + 4, a + 4])
+    return loose(vertices, quads)
 
 
-def test_a_surface_that_passes_through_itself_is_named():
-    path = np.array([(0, 0), (10, 0), (10, 6), (5, 6), (5, -4)]) / 100
-    made = closed(ribbon(path, 0.02))
-    assert "passes through itself" in made.repairs[0]
-    assert closed(ribbon(path[:4], 0.02)).repairs == ()
+def loose(vertices, faces):
+    return trimesh.Trimesh(
+        vertices, trimesh.geometry.triangulate_quads(faces), process=False
+    )
 
 
-def test_a_hole_that_is_concave_is_filled_as_it_is():
+def pipe():
+    """A prism over an L, open at both ends; 48 cm³ per 2 cm of length."""
     outline = [(0, 0), (8, 0), (8, 2), (2, 2), (2, 6), (0, 6)]
-    prism = trimesh.Trimesh(
+    return loose(
         [(x / 100, y / 100, z) for z in (0, 0.2) for x, y in outline],
-        [
-            face
-            for k in range(6)
-            for a, b in [(k, (k + 1) % 6)]
-            for face in ((a, b, b + 6), (a, b + 6, a + 6))
-        ],
-        process=False,
+        [[k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6)],
     )
-    made = closed(prism)
-    assert made.mesh.volume == pytest.approx(24e-4 * 0.2)
-    assert made.mesh.area == pytest.approx(prism.area + 2 * 24e-4)
 
 
-def test_walls_inside_and_crumbs_outside_enclose_nothing():
-    wall = trimesh.Trimesh(
-        [
-            [0, -0.03, -0.02],
-            [0, 0.03, -0.02],
-            [0, 0.03, 0.02],
-            [0, -0.03, 0.02],
-        ],
-        [[0, 1, 2], [0, 2, 3]],
-        process=False,
-    )
-    made = closed(box(*OUTER), wall)
-    assert made.mesh.volume == pytest.approx(1.92e-4)
-    crumb = trimesh.Trimesh(
-        [[0.05, 0, 0], [0.06, 0, 0], [0.06, 0.01, 0]], [[0, 1, 2]]
-    )
-    made = closed(box(*OUTER), crumb)
-    assert made.mesh.volume == pytest.approx(1.92e-4)
-    assert "20% shorter" in made.repairs[-1]
+def ball_of(faces):
+    return trimesh.Trimesh(ball().vertices, faces, process=False)
+
+
+def lidless(*size):
+    mesh = box(*size)
+    mesh.update_faces(mesh.face_normals[:, 2] < 0.5)
+    return mesh
+
+
+FACES = np.array(ball().faces)
+BACK = FACES[:, ::-1]
+TURNED = np.random.default_rng(0).random((len(FACES), 1)) < 0.3
+BALL = ball().volume * 1e6
+PATH = np.array([(0, 0), (10, 0), (10, 6), (5, 6), (5, -4)]) / 100
+CUBE = (0.04, 0.04, 0.04)
+WALL = loose(
+    [[0, y, z] for y, z in ((-3, -2), (3, -2), (3, 2), (-3, 2))]
+    * np.array(0.01),
+    [[0, 1, 2, 3]],
+)
+CRUMB = loose([[0.05, 0, 0], [0.06, 0, 0], [0.06, 0.01, 0]], [[0, 1, 2]])
+
+FILES = {
+    "inside out, hollow": (
+        [box(*OUTER, inside_out=True), box(*INNER)],
+        (144, ""),
+    ),
+    "inside out": ([box(*OUTER, inside_out=True)], (192, "")),
+    "faces that are there twice": (
+        [ball_of(np.concatenate([FACES, FACES]))],
+        (BALL, ""),
+    ),
+    "faces both ways": (
+        [ball_of(np.concatenate([FACES, BACK]))],
+        (BALL, "twice"),
+    ),
+    "faces that look anywhere": (
+        [ball_of(np.where(TURNED, BACK, FACES))],
+        (BALL, "faces turned over"),
+    ),
+    "a body inside out beside others": (
+        [box(*CUBE), box(*CUBE, at=(0.06, 0, 0), inside_out=True)],
+        (128, "inside out"),
+    ),
+    "many holes": (
+        [ball_of(FACES[np.arange(len(FACES)) % 60 != 0])],
+        (0.99 * BALL, "21 holes filled (2% of its surface)"),
+    ),
+    "one large hole": (
+        [lidless(0.04, 0.04, 0.12)],
+        (192, "a hole filled (7% of its surface)"),
+    ),
+    "holes that are concave": ([pipe()], (480, "2 holes filled")),
+    "a shell that looks outward": (
+        [box(*OUTER), box(*INNER)],
+        (192, "within other bodies taken as solid (20%)"),
+    ),
+    "a surface that passes through itself": (
+        [ribbon(PATH, 0.02)],
+        (None, "passes through itself"),
+    ),
+    "a bent bar": ([ribbon(PATH[:4], 0.02)], (84, "")),
+    "a wall inside": ([box(*OUTER), WALL], (192, "")),
+    "a crumb outside": ([box(*OUTER), CRUMB], (192, "20% shorter")),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_what_is_mended_is_said(name):
+    meshes, (cubic_centimetres, said) = FILES[name]
+    made = closed(*meshes)
+    if cubic_centimetres:
+        assert made.mesh.volume * 1e6 == pytest.approx(
+            cubic_centimetres, rel=0.015 if "many" in name else 1e-6
+        )
+    if said:
+        assert any(said in repair for repair in made.repairs)
+    elif "wall" not in name:
+        assert made.repairs == ()
+    if "concave" in name:
+        assert made.mesh.area == pytest.approx(pipe().area + 48e-4)
 
 
 def test_vertices_are_merged_relative_to_the_size():
@@ -254,34 +250,31 @@ def test_vertices_are_merged_relative_to_the_size():
             assert len(made.repairs) == said
 
 
+def sheet(sides):
+    """One side of a box, or both sides of it."""
+    mesh = box(0.1, 0.1, 0.02)
+    mesh.update_faces(mesh.face_normals[:, 0] > 0.5)
+    both = [mesh.faces, mesh.faces[:, ::-1]][:sides]
+    return trimesh.Trimesh(mesh.vertices, np.concatenate(both))
+
+
 @pytest.mark.parametrize(
     ("mesh", "reason"),
     [
         (box(0.1, 0.1, 0.03), "filling its holes would make 6"),
         (trimesh.creation.cylinder(0.03, 0.08), "filling its holes would"),
+        (sheet(1), "its holes"),
+        (sheet(2), "its holes"),
     ],
 )
-def test_what_is_mostly_hole_is_refused(mesh, reason):
+def test_what_is_mostly_hole_or_a_sheet_is_refused(mesh, reason):
     mesh.update_faces(np.abs(mesh.face_normals[:, 2]) < 0.5)
     with pytest.raises(ValueError, match=reason):
         closed(mesh)
 
 
-def test_a_sheet_encloses_nothing():
-    sheet = trimesh.creation.box((0.1, 0.1, 0.02))
-    sheet.update_faces(sheet.face_normals[:, 0] > 0.5)
-    both = trimesh.Trimesh(
-        sheet.vertices, np.concatenate([sheet.faces, sheet.faces[:, ::-1]])
-    )
-    for mesh in (sheet, both):
-        with pytest.raises(ValueError, match=r"encloses nothing|its holes"):
-            closed(mesh)
-
-
 def test_repairs_reach_the_log_and_the_summary(tmp_path, caplog):
-    tall = box(0.04, 0.04, 0.12)
-    tall.update_faces(tall.face_normals[:, 2] < 0.5)
-    tall.export(tmp_path / "tall.stl")
+    lidless(0.04, 0.04, 0.12).export(tmp_path / "tall.stl")
     box(0.04, 0.04, 0.04).export(tmp_path / "whole.stl")
     made = import_meshes(tmp_path, cache_dir=tmp_path / "cache")
     (record,) = caplog.records
@@ -294,10 +287,7 @@ def test_repairs_reach_the_log_and_the_summary(tmp_path, caplog):
 
 
 def test_what_is_as_long_as_the_floor_is_welcome(tmp_path):
-    longer = max(
-        BIN_FLOOR_X[1] - BIN_FLOOR_X[0], BIN_FLOOR_Y[1] - BIN_FLOOR_Y[0]
-    )
-    assert longer == LARGEST
-    box(0.03, 0.02, 0.5).export(tmp_path / "rod.stl")
+    assert max(np.ptp(BIN_FLOOR_X), np.ptp(BIN_FLOOR_Y)) == LARGEST
+    box(0.03, 0.02, LARGEST).export(tmp_path / "rod.stl")
     (model,) = load_meshes(tmp_path, cache_dir=tmp_path / "cache")
-    assert model.extents.max() == pytest.approx(0.5)
+    assert model.extents.max() == pytest.approx(LARGEST)

@@ -2,28 +2,17 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    GeometryInstance,
-    MakeRenderEngineVtk,
-    Mesh,
-    PerceptionProperties,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    RenderLabel,
-    SceneGraph,
-)
-from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.systems.sensors import CameraInfo
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.scene.meshes import import_meshes, load_meshes
+from xray_drake.scene.cameras import add_camera, nominal_camera
+from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.meshes.textures import (
-    drake_mesh,
     hue_shifted,
     is_red,
     mean_color,
 )
+from xray_drake.scene.plant import add_object, add_plant, default_plant_config
 
 GREEN, BLUE = (30, 180, 40), (30, 40, 200)
 
@@ -84,24 +73,31 @@ def test_large_textures_shrink(tmp_path):
     assert model.textured.image.shape == (512, 512, 3)
 
 
+REDS = [(200, 20, 20), (180, 40, 20), (190, 10, 60), (120, 20, 20)]
+
+
+@pytest.mark.parametrize("of", ["texture", "vertices"])
 @pytest.mark.parametrize(
-    "red", [(200, 20, 20), (180, 40, 20), (190, 10, 60), (120, 20, 20)]
+    "color", [GREEN, BLUE, (200, 190, 190), (60, 60, 60), *REDS]
 )
-def test_red_textures_change_their_hue(tmp_path, red):
-    model = import_box(tmp_path / "in", checkered(red, red))
-    assert is_red(np.array(red) / 255)
-    assert not is_red(mean_color(model.textured))
+def test_red_becomes_another_colour_and_others_stay(tmp_path, color, of):
+    """The hue of a texture is turned; colours of vertices give way."""
+    wanted = np.array(color) / 255
+    if of == "texture":
+        model = import_box(tmp_path / "in", checkered(color, color))
+        assert not is_red(mean_color(model.textured))
+        assert max(model.color[:3]) == pytest.approx(wanted.max(), abs=0.02)
+    else:
+        ball = trimesh.creation.icosphere(2, 0.03)
+        ball.visual.vertex_colors = [*color, 255]
+        (tmp_path / "in").mkdir()
+        ball.export(tmp_path / "in" / "ball.ply")
+        (model,) = load_meshes(tmp_path / "in")
+        assert model.textured is None
+    assert is_red(wanted) == (color in REDS)
     assert not is_red(np.array(model.color[:3]))
-    value = max(red) / 255
-    assert max(model.color[:3]) == pytest.approx(value, abs=0.02)
-
-
-@pytest.mark.parametrize("color", [GREEN, BLUE, (200, 190, 190), (60, 60, 60)])
-def test_other_colours_stay(tmp_path, color):
-    model = import_box(tmp_path / "in", checkered(color, color))
-    np.testing.assert_allclose(
-        model.color[:3], np.array(color) / 255, atol=0.01
-    )
+    same = np.allclose(model.color[:3], wanted, atol=0.01)
+    assert same == (color not in REDS)
 
 
 def test_hue_shifts_turn_the_circle():
@@ -110,54 +106,20 @@ def test_hue_shifts_turn_the_circle():
     np.testing.assert_array_equal(hue_shifted(image, 360), image)
 
 
-@pytest.mark.parametrize(
-    ("color", "kept"), [(BLUE, True), ((220, 0, 0), False)]
-)
-def test_vertex_colours_give_a_colour(tmp_path, color, kept):
-    ball = trimesh.creation.icosphere(2, 0.03)
-    ball.visual.vertex_colors = [*color, 255]
-    (tmp_path / "in").mkdir()
-    ball.export(tmp_path / "in" / "ball.ply")
-    (model,) = import_meshes(tmp_path / "in").models
-    assert model.textured is None
-    assert not is_red(np.array(model.color[:3]))
-    same = np.allclose(model.color[:3], np.array(color) / 255, atol=0.01)
-    assert same == kept
-
-
 def test_drake_renders_the_texture(tmp_path):
     model = import_box(tmp_path / "in", checkered(GREEN, BLUE))
-    image = render(drake_mesh(model.textured, model.name))
-    on = image.reshape(-1, 3)[image.reshape(-1, 3).min(axis=1) < 200]
-    green = (on[:, 1] > on[:, 2] + 40).sum()
-    blue = (on[:, 2] > on[:, 1] + 40).sum()
-    assert green > 200
-    assert blue > 200
-    left = image[:, : image.shape[1] // 2].reshape(-1, 3).astype(int)
-    assert (left[:, 1] > left[:, 2] + 40).sum() > 0.9 * green
-
-
-def render(mesh):
-    scene_graph = SceneGraph()
-    scene_graph.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
-    source = scene_graph.RegisterSource("source")
-    geometry = GeometryInstance(RigidTransform(), Mesh(mesh), "box")
-    properties = PerceptionProperties()
-    properties.AddProperty("label", "id", RenderLabel(1))
-    geometry.set_perception_properties(properties)
-    scene_graph.RegisterAnchoredGeometry(source, geometry)
-    context = scene_graph.CreateDefaultContext()
-    query = scene_graph.get_query_output_port().Eval(context)
-    core = RenderCameraCore(
-        "vtk",
-        CameraInfo(160, 120, 0.6),
-        ClippingRange(0.01, 2),
-        RigidTransform(),
-    )
-    X_WC = RigidTransform(RollPitchYaw(np.pi, 0, 0), [0, 0, 0.25])
-    image = query.RenderColorImage(
-        camera=ColorRenderCamera(core),
-        parent_frame=scene_graph.world_frame_id(),
-        X_PC=X_WC,
-    )
-    return np.array(image.data)[..., :3]
+    builder = DiagramBuilder()
+    plant, scene_graph = add_plant(builder, default_plant_config())
+    item = add_object(plant, model, textured=True)
+    item.joint.SetDefaultPose(RigidTransform([0, 0, 0.5]))
+    plant.Finalize()
+    camera, _ = add_camera(builder, scene_graph, nominal_camera())
+    context = builder.Build().CreateDefaultContext()
+    port = camera.color_image_output_port()
+    image = port.Eval(camera.GetMyContextFromRoot(context)).data.astype(int)
+    green = image[..., 1] > image[..., 2] + 40
+    blue = image[..., 2] > image[..., 1] + 40
+    assert green.sum() > 200
+    assert blue.sum() > 200
+    # The texture's left half lies at negative x.
+    assert green[:, : image.shape[1] // 2].sum() > 0.9 * green.sum()
