@@ -10,10 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.choices import TARGET_NAMES
 from xray_drake.resources import models_dir
-from xray_drake.scene.contact import (
-    ContactConfig,
-    hydroelastic_modulus,
-)
+from xray_drake.scene.contact import ContactConfig, hydroelastic_modulus
 from xray_drake.scene.library import make_object
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.sdf import write_sdf, write_targets
@@ -28,85 +25,63 @@ def parse(path):
     return plant, scene_graph.model_inspector()
 
 
-def spatial_inertia(plant, name):
-    return plant.GetBodyByName(name).default_spatial_inertia()
+MODELS = [
+    *map(target_model, ("box_4to1", "lid", "flute")),
+    *map(make_object, ("bracket_004", "saucepan_000")),
+]
 
 
-def rotational_inertia_about_com(M):
-    G = M.Shift(M.get_com()).CalcRotationalInertia()
-    return G.CopyToFullMatrix3()
-
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        target_model("box_4to1"),
-        target_model("lid"),
-        target_model("flute"),
-        make_object("bracket_004"),
-        make_object("saucepan_000"),
-    ],
-    ids=lambda model: model.name,
-)
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 def test_drake_reads_back_what_was_written(model, tmp_path):
     path = write_sdf(model, tmp_path / "new" / "folder")
     assert path.name == f"{model.name}.sdf"
     plant, inspector = parse(path)
-    M = spatial_inertia(plant, model.name)
+    body = plant.GetBodyByName(model.name)
+    M = body.default_spatial_inertia()
     assert M.get_mass() == pytest.approx(model.mass, rel=1e-5)
     np.testing.assert_allclose(M.get_com(), model.p_OCom, atol=1e-8)
     np.testing.assert_allclose(
-        rotational_inertia_about_com(M),
+        M.Shift(M.get_com()).CalcRotationalInertia().CopyToFullMatrix3(),
         model.inertia,
         atol=1e-5 * model.inertia.max(),
     )
-    body = plant.GetBodyByName(model.name)
     pieces = plant.GetCollisionGeometriesForBody(body)
     assert len(pieces) == len(model.pieces)
+    contact = ContactConfig()
     for geometry in pieces:
-        properties = inspector.GetProximityProperties(geometry)
         index = int(inspector.GetName(geometry).rsplit("_", 1)[1])
-        assert properties.GetProperty(
-            "hydroelastic", "hydroelastic_modulus"
-        ) == pytest.approx(
-            hydroelastic_modulus(model.pieces[index], ContactConfig()), rel=1e-5
-        )
-        assert (
-            properties.GetProperty("material", "hunt_crossley_dissipation")
-            == ContactConfig().dissipation
-        )
-        friction = properties.GetProperty("material", "coulomb_friction")
+        found = inspector.GetProximityProperties(geometry).GetProperty
+        modulus = found("hydroelastic", "hydroelastic_modulus")
+        expected = hydroelastic_modulus(model.pieces[index], contact)
+        assert modulus == pytest.approx(expected, rel=1e-5)
+        dissipation = found("material", "hunt_crossley_dissipation")
+        assert dissipation == contact.dissipation
+        friction = found("material", "coulomb_friction")
         assert friction.dynamic_friction() == model.friction
     (visual,) = plant.GetVisualGeometriesForBody(body)
     for role in (Role.kPerception, Role.kIllustration):
-        assert inspector.GetProperties(visual, role) is not None
-    diffuse = inspector.GetPerceptionProperties(visual).GetProperty(
-        "phong", "diffuse"
-    )
-    np.testing.assert_allclose(diffuse.rgba, model.color, atol=1e-5)
-
-
-def geometry_types(plant, inspector, name):
-    body = plant.GetBodyByName(name)
-    return [
-        type(inspector.GetShape(geometry)).__name__
-        for geometry in (
-            *plant.GetVisualGeometriesForBody(body),
-            *plant.GetCollisionGeometriesForBody(body),
+        diffuse = inspector.GetProperties(visual, role).GetProperty(
+            "phong", "diffuse"
         )
-    ]
+        np.testing.assert_allclose(diffuse.rgba, model.color, atol=1e-5)
 
 
-def test_boxes_stay_boxes_and_the_rest_is_convex(tmp_path):
-    plant, inspector = parse(write_sdf(target_model("domino"), tmp_path))
-    assert geometry_types(plant, inspector, "domino") == ["Box", "Box"]
-    assert not list(tmp_path.glob("*.obj"))
-    plant, inspector = parse(write_sdf(make_object("bracket_000"), tmp_path))
-    types = geometry_types(plant, inspector, "bracket_000")
-    assert types[0] == "Mesh"
-    assert types[1:3] == ["Box", "Box"]
-    plant, inspector = parse(write_sdf(target_model("flute"), tmp_path))
-    assert geometry_types(plant, inspector, "flute") == ["Mesh", "Convex"]
+@pytest.mark.parametrize(
+    ("model", "types"),
+    [
+        (target_model("domino"), ["Box", "Box"]),
+        (make_object("bracket_000"), ["Mesh", "Box", "Box"]),
+        (target_model("flute"), ["Mesh", "Convex"]),
+    ],
+)
+def test_boxes_stay_boxes_and_the_rest_is_convex(model, types, tmp_path):
+    plant, inspector = parse(write_sdf(model, tmp_path))
+    body = plant.GetBodyByName(model.name)
+    geometries = plant.GetVisualGeometriesForBody(body)
+    geometries += plant.GetCollisionGeometriesForBody(body)
+    found = [type(inspector.GetShape(g)).__name__ for g in geometries]
+    assert found[: len(types)] == types
+    assert bool(list(tmp_path.glob("*.obj"))) == ("Mesh" in types)
 
 
 def test_visual_mesh_is_complete_and_has_normals(tmp_path):
@@ -125,16 +100,14 @@ def test_imported_names_make_flat_file_names(tmp_path):
     path = write_sdf(model, tmp_path / "out")
     assert path == tmp_path / "out" / "in_ball.sdf"
     plant, _ = parse(path)
-    M = spatial_inertia(plant, "in/ball")
-    assert M.get_mass() == pytest.approx(model.mass, rel=1e-5)
+    mass = plant.GetBodyByName("in/ball").default_mass()
+    assert mass == pytest.approx(model.mass, rel=1e-5)
 
 
 def vertices(path):
-    values = []
-    for line in path.read_text().splitlines():
-        if line.startswith("v "):
-            values.append([float(word) for word in line.split()[1:]])
-    return np.array(values)
+    lines = path.read_text().splitlines()
+    rows = [line.split()[1:] for line in lines if line.startswith("v ")]
+    return np.unique(np.array(rows, float).round(6), axis=0)
 
 
 def test_targets_on_disk_are_what_the_generator_writes(tmp_path):
@@ -144,23 +117,16 @@ def test_targets_on_disk_are_what_the_generator_writes(tmp_path):
     names = sorted(path.name for path in stored.iterdir())
     assert names == sorted(path.name for path in tmp_path.iterdir())
     for path in written:
-        fresh = ElementTree.canonicalize(from_file=path, strip_text=True)
-        old = ElementTree.canonicalize(
-            from_file=stored / path.name, strip_text=True
+        fresh, old = (
+            ElementTree.canonicalize(from_file=file, strip_text=True)
+            for file in (path, stored / path.name)
         )
         assert fresh == old, path.name
     # Meshes are compared as shapes: their triangles are the choice of the
     # version of the boolean engine.
     for path in tmp_path.glob("*.obj"):
-        fresh, old = (
-            trimesh.load_mesh(path),
-            trimesh.load_mesh(stored / path.name),
-        )
-        np.testing.assert_allclose(fresh.bounds, old.bounds, atol=1e-7)
+        both = path, stored / path.name
+        fresh, old = map(trimesh.load_mesh, both)
         assert fresh.volume == pytest.approx(old.volume, rel=1e-5)
         assert fresh.area == pytest.approx(old.area, rel=1e-5)
-        corners = [
-            np.unique(vertices(file).round(6), axis=0)
-            for file in (path, stored / path.name)
-        ]
-        np.testing.assert_array_equal(*corners, err_msg=path.name)
+        np.testing.assert_array_equal(*map(vertices, both), err_msg=path.name)
