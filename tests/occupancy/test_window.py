@@ -2,11 +2,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.occupancy.scenes import make_camera
-from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.occupancy.learned.inputs import (
     geometry_input,
     lengths_in_image,
@@ -18,24 +19,13 @@ CAMERA = make_camera(size=(512, 384))
 
 
 def outline(
-    size: tuple[float, float], place: tuple[float, float], angle: float
+    size: tuple[float, float], place: np.ndarray, angle: float
 ) -> np.ndarray:
     """(H, W) bool: a flat rectangle on the floor, seen by the camera."""
-    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size / 2
-    c, s = np.cos(angle), np.sin(angle)
-    points = corners @ np.array([[c, s], [-s, c]]) + place
-    u, v = CAMERA.project(np.c_[points, np.zeros(4)])[:, :2].T
-    rows, columns = np.indices(CAMERA.shape)
-    inside = np.ones(CAMERA.shape, bool)
-    area = 0.0
-    for i in range(4):
-        j = (i + 1) % 4
-        area += u[i] * v[j] - u[j] * v[i]
-    for i in range(4):
-        j = (i + 1) % 4
-        cross = (u[j] - u[i]) * (rows - v[i]) - (v[j] - v[i]) * (columns - u[i])
-        inside &= cross * np.sign(area) >= 0
-    return inside
+    mesh = trimesh.creation.box([*size, 1e-9])
+    X_WO = trimesh.transformations.rotation_matrix(angle, [0, 0, 1])
+    X_WO[:2, 3] = place
+    return project_mesh_mask(mesh.vertices, mesh.faces, X_WO, CAMERA)
 
 
 _length = st.floats(0.02, 0.12)
@@ -61,9 +51,8 @@ def test_it_holds_every_pose_that_covers_what_is_seen(
     masks = []
     for inside, angle in poses:
         c, s = np.cos(angle), np.sin(angle)
-        from_middle = np.multiply(inside, size) @ np.array([[c, s], [-s, c]])
-        x, y = shared - from_middle
-        masks.append(outline(size, (float(x), float(y)), angle))
+        from_middle = np.multiply(inside, size) @ [[c, s], [-s, c]]
+        masks.append(outline(size, shared - from_middle, angle))
     seen = masks[0] & masks[1]
     columns = np.flatnonzero(seen.any(axis=0))
     # What lies right of a line is hidden.
@@ -129,7 +118,7 @@ def test_a_target_that_is_not_seen_has_none() -> None:
 
 def test_what_the_network_sees_of_it_is_part_of_what_it_sees_of_all() -> None:
     rng = np.random.default_rng(0)
-    camera: PinholeCamera = make_camera(size=(512, 384), tilt=6, azimuth=30)
+    camera = make_camera(size=(512, 384), tilt=6, azimuth=30)
     depth = camera.plane_depth(0.0) - rng.uniform(0, 0.05, camera.shape)
     depth = depth.astype(np.float32)
     depth[rng.random(camera.shape) < 0.02] = 0.0
