@@ -1,11 +1,11 @@
-"""The occupancy distribution of a flat target, one candidate at a time.
+"""The occupancy distribution of a target, one candidate at a time.
 
 Slow and plain: each candidate's mesh is cast ray by ray in true perspective
 and its depth compared with the scene's. Shares with the fast method only the
 list of candidates and the stated rules.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import trimesh
@@ -61,8 +61,8 @@ def render(
     return depth.astype(np.float32), label
 
 
-class BruteForce:
-    """The reference: every candidate by ray casting."""
+class _Body:
+    """One way in which the target lies, by ray casting."""
 
     def __init__(
         self,
@@ -72,14 +72,8 @@ class BruteForce:
         mask: np.ndarray,
         camera: PinholeCamera,
         *,
-        walls: bool = False,
+        walls: bool,
     ) -> None:
-        """Prepares the rays.
-
-        Args:
-            walls: the body must keep inside the bin's walls, rather than its
-                image on the floor.
-        """
         self.config = config
         self.walls = walls
         self.depth = depth.astype(float)
@@ -92,30 +86,33 @@ class BruteForce:
         self.reading = np.isfinite(depth) & (depth > 0)
         surface = camera.unproject(np.where(self.reading, depth, 0.0))
         self._height = np.where(self.reading, surface[..., 2], -np.inf)
-        x_low, x_high, y_low, y_high = config.floor
-        slack = config.floor_tolerance
         ground = camera.unproject(camera.plane_depth(0.0))
-        self.on_floor = (
-            (ground[..., 0] >= x_low - slack)
-            & (ground[..., 0] <= x_high + slack)
-            & (ground[..., 1] >= y_low - slack)
-            & (ground[..., 1] <= y_high + slack)
-        )
+        self.on_floor = self._within(ground)
+
+    def _within(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) points to (...) bool: above the floor, or nearly."""
+        x_low, x_high, y_low, y_high = self.config.floor
+        slack = self.config.floor_tolerance
+        low = np.array([x_low, y_low]) - slack
+        high = np.array([x_high, y_high]) + slack
+        xy = points[..., :2]
+        return ((xy >= low) & (xy <= high)).all(axis=-1)
 
     def candidates(
         self, poses: np.ndarray
-    ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Casts each candidate that keeps within image and bin.
 
         Args:
             poses: (n, 3) x, y (m) and angle (rad).
 
         Yields:
-            index of the pose; (k, 2) rows and columns of its amodal mask; (k,)
-            bool, which of them would be visible.
+            (k, 2) rows and columns of its amodal mask; (k,) bool, which of
+            them would be visible.
         """
         center = self.camera.X_WC[:3, 3]
         tolerance = self.config.depth_tolerance
+        size = np.array(self.camera.shape[::-1])
         for first in range(0, len(poses), 256):
             rows, columns, origins, rays, owner = [], [], [], [], []
             for i in range(first, min(first + 256, len(poses))):
@@ -124,19 +121,14 @@ class BruteForce:
                 R_WO = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
                 corners = self.mesh.vertices @ R_WO.T + [x, y, 0]
                 uv = self.camera.project(corners)[:, :2]
-                low = np.floor(uv.min(axis=0)).astype(int)
-                high = np.ceil(uv.max(axis=0)).astype(int)
-                if (uv.min(axis=0) < -0.5).any() or (
-                    uv.max(axis=0) > np.array(self.camera.shape[::-1]) - 0.5
-                ).any():
+                low, high = uv.min(axis=0), uv.max(axis=0)
+                if (low < -0.5).any() or (high > size - 0.5).any():
                     continue
-                if self.walls and not self._inside_walls(corners):
+                if self.walls and not self._within(corners).all():
                     continue
-                v, u = np.mgrid[
-                    max(low[1], 0) : high[1] + 1, max(low[0], 0) : high[0] + 1
-                ].reshape(2, -1)
-                keep = (v < self.camera.height) & (u < self.camera.width)
-                u, v = u[keep], v[keep]
+                u0, v0 = np.floor(low).astype(int).clip(0)
+                u1, v1 = np.minimum(np.ceil(high).astype(int) + 1, size)
+                v, u = np.mgrid[v0:v1, u0:u1].reshape(2, -1)
                 rows.append(v)
                 columns.append(u)
                 rays.append(self.rays[v, u] @ R_WO)
@@ -161,22 +153,7 @@ class BruteForce:
             starts = np.flatnonzero(np.diff(i, prepend=-1))
             for a, b in zip(starts, [*starts[1:], len(i)], strict=True):
                 if not outside[a:b].any():
-                    yield (
-                        int(i[a]),
-                        np.stack([v[a:b], u[a:b]], axis=1),
-                        visible[a:b],
-                    )
-
-    def _inside_walls(self, corners: np.ndarray) -> bool:
-        x_low, x_high, y_low, y_high = self.config.floor
-        slack = self.config.floor_tolerance
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        return bool(
-            low[0] >= x_low - slack
-            and high[0] <= x_high + slack
-            and low[1] >= y_low - slack
-            and high[1] <= y_high + slack
-        )
+                    yield np.stack([v[a:b], u[a:b]], axis=1), visible[a:b]
 
     def worth_casting(self, poses: np.ndarray) -> np.ndarray:
         """Drops poses that are far from acceptance, by samples of points.
@@ -225,50 +202,89 @@ class BruteForce:
         pixel = np.median(floor) / self.camera.intrinsics[0, 0]
         return ConvexHull(self.mesh.vertices[:, :2]).volume / pixel**2
 
-    def infer(self, poses: np.ndarray) -> np.ndarray:
-        """Returns the (H, W) distribution over the candidates ``poses``."""
-        total = np.zeros(self.camera.shape)
-        poses = self.worth_casting(poses)
-        if self.mask.any():
-            accepted = self._accepted_seen(poses)
-        else:
-            allowed = self.config.blank_tolerance
-            accepted = [
-                px
-                for _, px, seen in self.candidates(poses)
-                if np.count_nonzero(seen) <= allowed * len(seen)
-            ]
-        for px in accepted:
-            total[px[:, 0], px[:, 1]] += 1
-        total[self._shows_floor()] = 0
-        return total / max(total.max(), 1.0)
-
-    def _accepted_seen(self, poses: np.ndarray) -> list[np.ndarray]:
-        """Returns the amodal pixels of each candidate that is accepted."""
-        masks, area, cover = self.measure(poses)
-        typical = float(np.mean([len(px) for px in masks]))
-        size = np.count_nonzero(self.mask)
-        chosen = choose(self.config, size, area, cover, typical)
-        return [masks[i] for i in np.flatnonzero(chosen)]
-
     def measure(
         self, poses: np.ndarray
     ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """Returns amodal pixels, modal areas, and common ones with the mask."""
+        """Returns amodal pixels, modal areas, and common ones with the mask.
+
+        Of a hidden target, of the candidates alone that show next to nothing.
+        """
+        hidden = not self.mask.any()
         masks, shown, common = [], [], []
-        for _, px, seen in self.candidates(poses):
+        for px, seen in self.candidates(self.worth_casting(poses)):
             modal = px[seen]
+            if hidden and len(modal) > self.config.blank_tolerance * len(px):
+                continue
             masks.append(px)
             shown.append(len(modal))
             common.append(np.count_nonzero(self.mask[modal[:, 0], modal[:, 1]]))
-        return masks, np.array(shown), np.array(common)
+        return masks, np.array(shown, int), np.array(common, int)
 
-    def _shows_floor(self) -> np.ndarray:
+    def shows_floor(self) -> np.ndarray:
         low = min(self.config.floor_height, self.mesh.extents[2] / 2)
         return self.reading & (self._height < low) & ~self.mask
 
 
-def choose(
+def brute_force(
+    meshes: Sequence[trimesh.Trimesh],
+    poses: Sequence[np.ndarray],
+    config: GeometricConfig,
+    depth: np.ndarray,
+    mask: np.ndarray,
+    camera: PinholeCamera,
+    *,
+    probabilities: Sequence[float] = (1.0,),
+    walls: bool = False,
+) -> np.ndarray:
+    """Returns the (H, W) distribution.
+
+    Args:
+        meshes: the target as it lies, in each way that counts.
+        poses: (n, 3) candidates of each: x, y (m) and angle (rad).
+        config: of the inference.
+        depth: (H, W) m.
+        mask: (H, W) bool, of what is seen of it.
+        camera: of both.
+        probabilities: of the ways to lie.
+        walls: the body must keep inside the bin's walls, rather than its
+            image on the floor.
+    """
+    bodies = [
+        _Body(mesh, config, depth, mask, camera, walls=walls) for mesh in meshes
+    ]
+    found = [body.measure(own) for body, own in zip(bodies, poses, strict=True)]
+    each = [
+        p / len(np.unique(own[:, 2]))
+        for p, own in zip(probabilities, poses, strict=True)
+    ]
+    masks = [px for own, _, _ in found for px in own]
+    weights = np.repeat(each, [len(own) for own, _, _ in found])
+    chosen = np.ones(len(masks), bool)
+    if mask.any():
+        sizes, shares = np.transpose(
+            [
+                (np.mean([len(px) for px in own]), p)
+                for (own, _, _), p in zip(found, probabilities, strict=True)
+                if own
+            ]
+        )
+        chosen = _choose(
+            config,
+            np.count_nonzero(mask),
+            np.concatenate([area for _, area, _ in found]),
+            np.concatenate([cover for _, _, cover in found]),
+            float(np.average(sizes, weights=shares)),
+        )
+    total = np.zeros(camera.shape)
+    for i in np.flatnonzero(chosen):
+        px = masks[i]
+        total[px[:, 0], px[:, 1]] += weights[i]
+    lowest = min(bodies, key=lambda body: body.mesh.extents[2])
+    total[lowest.shows_floor()] = 0
+    return total / max(total.max(), 1e-12)
+
+
+def _choose(
     config: GeometricConfig,
     size: int,
     area: np.ndarray,
@@ -286,79 +302,3 @@ def choose(
     spill = area - cover
     least = spill[chosen].min()
     return chosen & (spill <= least + config.accept_spill * typical)
-
-
-class RestingBruteForce:
-    """The reference over several ways to lie, each a mesh that stands."""
-
-    def __init__(
-        self,
-        meshes: list[trimesh.Trimesh],
-        probabilities: list[float],
-        config: GeometricConfig,
-        depth: np.ndarray,
-        mask: np.ndarray,
-        camera: PinholeCamera,
-    ) -> None:
-        self.config = config
-        self.mask = mask
-        self.camera = camera
-        self.probabilities = probabilities
-        self.each = [
-            BruteForce(mesh, config, depth, mask, camera, walls=True)
-            for mesh in meshes
-        ]
-        lowest = min(meshes, key=lambda mesh: mesh.extents[2])
-        self.lowest = self.each[meshes.index(lowest)]
-
-    def infer(self, poses: list[np.ndarray]) -> np.ndarray:
-        """Returns the (H, W) distribution over each mesh's (n, 3) poses."""
-        total = np.zeros(self.camera.shape)
-        weights = [
-            p / len(np.unique(own[:, 2]))
-            for p, own in zip(self.probabilities, poses, strict=True)
-        ]
-        kept = [
-            one.worth_casting(own)
-            for one, own in zip(self.each, poses, strict=True)
-        ]
-        if self.mask.any():
-            found = [
-                one.measure(own)
-                for one, own in zip(self.each, kept, strict=True)
-            ]
-            chosen = choose(
-                self.config,
-                np.count_nonzero(self.mask),
-                np.concatenate([area for _, area, _ in found]),
-                np.concatenate([cover for _, _, cover in found]),
-                float(
-                    np.average(
-                        [
-                            np.mean([len(px) for px in masks])
-                            for masks, _, _ in found
-                            if masks
-                        ],
-                        weights=[
-                            p
-                            for p, (masks, _, _) in zip(
-                                self.probabilities, found, strict=True
-                            )
-                            if masks
-                        ],
-                    )
-                ),
-            )
-            masks = [px for each, _, _ in found for px in each]
-            owner = np.repeat(range(len(found)), [len(m) for m, _, _ in found])
-            for i in np.flatnonzero(chosen):
-                px = masks[i]
-                total[px[:, 0], px[:, 1]] += weights[owner[i]]
-        else:
-            allowed = self.config.blank_tolerance
-            for one, own, weight in zip(self.each, kept, weights, strict=True):
-                for _, px, seen in one.candidates(own):
-                    if np.count_nonzero(seen) <= allowed * len(seen):
-                        total[px[:, 0], px[:, 1]] += weight
-        total[self.lowest._shows_floor()] = 0
-        return total / max(total.max(), 1e-12)

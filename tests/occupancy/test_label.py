@@ -1,28 +1,24 @@
 """Laws that the label must keep."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.masks import iou
 from tests.occupancy.brute_force import render
 from tests.occupancy.label_scenes import (
-    draw_camera,
     draw_sample,
     pose_target,
     render_target,
-    walls,
 )
-from tests.occupancy.scenes import CAMERAS, make_camera, occluders
-from xray_drake.choices import TARGET_NAMES
+from tests.occupancy.scenes import CAMERAS, make_camera
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.instances import instance_image
 from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
 
 NOMINAL = CAMERAS["nominal"]
-NOTHING = np.zeros(NOMINAL.shape, dtype=bool)
 
 
 def lay(
@@ -41,27 +37,6 @@ def clutter(camera: PinholeCamera, height: float = 0.05) -> np.ndarray:
     return camera.plane_depth(height).astype(np.float32)
 
 
-@settings(max_examples=10, deadline=None)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.sampled_from(TARGET_NAMES),
-    st.sampled_from([0.0, 0.3, 0.8]),
-)
-def test_fully_visible_target_is_where_it_is_seen(
-    seed: int, name: str, tilt: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    camera = draw_camera(rng)
-    xy = rng.uniform([-0.18, -0.13], [0.18, 0.13])
-    yaw, about = rng.uniform(0, 2 * np.pi, 2)
-    mesh, p_WT = pose_target(name, xy, yaw, tilt, about)
-    target = render_target(camera, mesh)
-    floor, _ = render(camera, walls())
-    label = occupancy_label(target, floor, camera, p_WT)
-    assert label.modal.sum() >= 0.9 * label.amodal.sum()
-    assert iou(label.distribution > 0, label.modal) >= 0.9
-
-
 def test_a_target_under_its_own_cover_alone_is_there() -> None:
     """A cover that fits the true pose only: nothing else is hidden."""
     target, p_WT = lay("box_10to1")
@@ -75,47 +50,7 @@ def test_a_target_under_its_own_cover_alone_is_there() -> None:
     assert iou(label.distribution > 0, label.amodal) >= 0.9
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["box_2to1", "flute"]))
-def test_another_occluder_never_shrinks_a_hidden_support(
-    seed: int, name: str
-) -> None:
-    rng = np.random.default_rng(seed)
-    camera = CAMERAS["low"]
-    target, p_WT = lay(name, camera)
-    scene = occluders(rng, 6, p_WT[:2], 0.05, 0.0)
-    supports = []
-    for meshes in (scene[:-1], scene):
-        depth, _ = render(camera, [*walls(), *meshes])
-        depth[np.isfinite(target)] = 0.3  # hidden in both
-        label = occupancy_label(target, depth, camera, p_WT)
-        assert not label.modal.any()
-        supports.append(label.distribution > 0)
-    assert not (supports[0] & ~supports[1]).any()
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
-    seed: int,
-) -> None:
-    sample = draw_sample(seed)
-    quarter = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
-    camera = sample.camera
-    turned = PinholeCamera(
-        camera.width, camera.height, camera.intrinsics, quarter @ camera.X_WC
-    )
-    before = occupancy_label(*sample.inputs)
-    after = occupancy_label(
-        sample.target_depth,
-        sample.scene_depth,
-        turned,
-        quarter[:3, :3] @ sample.p_WT,
-        config=LabelConfig(floor=[-0.20, 0.20, -0.25, 0.25]),
-    )
-    np.testing.assert_array_equal(before.distribution, after.distribution)
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_rolling_the_camera_turns_the_label(seed: int) -> None:
     """By 90°: the image turns the other way, and the label with it."""
     sample = draw_sample(seed)
@@ -161,9 +96,8 @@ def test_candidates_are_64_by_48_by_16() -> None:
     np.testing.assert_array_equal(label.distribution, expected)
 
 
-@pytest.mark.parametrize("view", ["nominal", "tilted"])
-def test_candidates_keep_within_the_bin(view: str) -> None:
-    camera = CAMERAS[view]
+def test_candidates_keep_within_the_bin() -> None:
+    camera = CAMERAS["tilted"]
     target, p_WT = lay(camera=camera)
     label = occupancy_label(target, clutter(camera), camera, p_WT)
     ground = camera.unproject(camera.plane_depth(0.0))
@@ -240,58 +174,62 @@ def test_an_observed_mask_takes_the_place_of_the_computed_one() -> None:
 
 
 def test_what_is_returned() -> None:
-    sample = draw_sample(0)
-    before = [sample.target_depth.copy(), sample.scene_depth.copy()]
-    for array in (sample.target_depth, sample.scene_depth):
+    """No target is 0 or inf; images stay as they are."""
+    target, scene, *camera_and_origin = draw_sample(0).inputs
+    for array in (target, scene):
         array.setflags(write=False)
-    label = occupancy_label(*sample.inputs)
+    label = occupancy_label(target, scene, *camera_and_origin)
     assert label.distribution.dtype == np.float32
-    assert label.distribution.shape == sample.camera.shape
     assert label.distribution.min() == 0
     assert label.distribution.max() == 1
     assert label.modal.dtype == label.amodal.dtype == bool
     assert label.accepted.shape == (16,)
-    np.testing.assert_array_equal(before[0], sample.target_depth)
-    np.testing.assert_array_equal(before[1], sample.scene_depth)
-    zeros = np.where(np.isfinite(before[0]), before[0], 0.0)
-    again = occupancy_label(zeros, *sample.inputs[1:])
+    zeros = np.where(np.isfinite(target), target, 0.0)
+    again = occupancy_label(zeros, scene, *camera_and_origin)
     np.testing.assert_array_equal(label.distribution, again.distribution)
 
 
-def test_wrong_input_is_named() -> None:
-    target, p_WT = lay()
-    floor = clutter(NOMINAL, 0.0)
-    negative = floor.copy()
-    negative[3, 4] = -0.5
-    with_nan = target.copy()
-    with_nan[0, 0] = np.nan
-    below = np.diag([1.0, -1, -1, 1])
-    low = PinholeCamera(512, 384, NOMINAL.intrinsics, below)
-    empty = np.full_like(target, np.inf)
-    cases = [
-        ((target[:9, :9], floor, NOMINAL, p_WT), r"target's .* is \(9, 9\)"),
-        ((target, floor[:4], NOMINAL, p_WT), r"scene's .* is \(4, 512\)"),
-        ((empty, floor, NOMINAL, p_WT), "target's image is empty"),
-        ((with_nan, floor, NOMINAL, p_WT), "target's depth image has NaN"),
-        ((negative, floor, NOMINAL, p_WT), "target's .* negative depth"),
-        ((target, negative, NOMINAL, p_WT), "scene's .* negative depth"),
-        ((target, floor, NOMINAL, [1.0, 0, 0]), "outside the image"),
-        ((target, floor, NOMINAL, [0.0, 0, 2]), "outside the image"),
-        ((target, floor, NOMINAL, [np.nan, 0, 0]), "three finite numbers"),
-        ((target, floor, NOMINAL, [0.0, 0]), "three finite numbers"),
-        ((target, floor, low, p_WT), "above the floor"),
-    ]
-    for inputs, message in cases:
-        with pytest.raises(ValueError, match=message) as error:
-            occupancy_label(*inputs)
-        assert "\n" not in str(error.value)
-    with pytest.raises(ValueError, match=r"modal mask is \(2, 3\)"):
-        occupancy_label(
-            target, floor, NOMINAL, p_WT, observed=np.zeros((2, 3), bool)
-        )
-    for config in (LabelConfig(step=0), LabelConfig(rotations=0)):
-        with pytest.raises(ValueError, match="at least one"):
-            occupancy_label(target, floor, NOMINAL, p_WT, config=config)
+TARGET, P_WT = lay()
+FLOOR = clutter(NOMINAL, 0.0)
+BELOW = PinholeCamera(512, 384, NOMINAL.intrinsics, np.diag([1.0, -1, -1, 1]))
+
+
+def with_pixel(image: np.ndarray, value: float) -> np.ndarray:
+    changed = image.copy()
+    changed[3, 4] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"target_depth": TARGET[:9, :9]}, r"target's .* is \(9, 9\)"),
+        ({"scene_depth": FLOOR[:4]}, r"scene's .* is \(4, 512\)"),
+        ({"observed": np.zeros((2, 3), bool)}, r"modal mask is \(2, 3\)"),
+        ({"target_depth": 0 * FLOOR}, "target's image is empty"),
+        ({"target_depth": with_pixel(TARGET, np.nan)}, "target's .* has NaN"),
+        ({"target_depth": with_pixel(TARGET, -0.5)}, "target's .* negative"),
+        ({"scene_depth": with_pixel(FLOOR, -0.5)}, "scene's .* negative"),
+        ({"p_WT": [1.0, 0, 0]}, "outside the image"),
+        ({"p_WT": [0.0, 0, 2]}, "outside the image"),
+        ({"p_WT": [np.nan, 0, 0]}, "three finite numbers"),
+        ({"p_WT": [0.0, 0]}, "three finite numbers"),
+        ({"camera": BELOW}, "above the floor"),
+        ({"config": LabelConfig(step=0)}, "at least one"),
+        ({"config": LabelConfig(rotations=0)}, "at least one"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
+)
+def test_wrong_input_is_named(change: dict[str, Any], message: str) -> None:
+    given = {
+        "target_depth": TARGET,
+        "scene_depth": FLOOR,
+        "camera": NOMINAL,
+        "p_WT": P_WT,
+    }
+    with pytest.raises(ValueError, match=message) as error:
+        occupancy_label(**{**given, **change})
+    assert "\n" not in str(error.value)
 
 
 def test_instance_image() -> None:
