@@ -1,8 +1,7 @@
 """The environment on the tiny heap, which is not dropped."""
 
-import copy
-import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -12,6 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from pydrake.gym import DrakeGymEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from tests.search.watching import stripped
 from xray_drake.grasping.evidence.model import ModelPlannerConfig
 from xray_drake.gym import ENV_ID
 from xray_drake.gym.agents import policy_agent, random_agent, xray_agent
@@ -27,7 +27,6 @@ from xray_drake.scene.heap import Heap, HeapError
 from xray_drake.search.diagram import build_search_diagram
 from xray_drake.search.rollout import run_search
 from xray_drake.station.scenario import Scenario
-from xray_drake.testing.tiny import make_tiny_scenario
 
 TARGET = "box_2to1"
 GAMMA = 0.9
@@ -37,6 +36,7 @@ Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 def play(
     env: gymnasium.Env, agent: Callable[..., int], seed: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Any], list[Step]]:
+    """Returns the first observation and info, and all steps to the end."""
     rng = np.random.default_rng(0)
     observation, info = env.reset(seed=seed)
     first = observation, info
@@ -50,36 +50,20 @@ def play(
     return *first, steps
 
 
-def without_times(record: dict[str, Any]) -> dict[str, Any]:
-    record = copy.deepcopy(record)
-    for action in record["actions"]:
-        action.pop("seconds", None)
-        del action["score"], action["ranking"]  # an agent has none
-    del record["policy"]
-    return record
-
-
-@pytest.fixture(scope="module")
-def scenario() -> Scenario:
-    return dataclasses.replace(make_tiny_scenario(), seed=99)  # not reset's
+def without_scores(record: dict[str, Any]) -> dict[str, Any]:
+    """What an agent has not, is left out."""
+    actions = [
+        {k: v for k, v in action.items() if k not in ("score", "ranking")}
+        for action in record["actions"]
+    ]
+    return {**record, "policy": "", "actions": actions}
 
 
 @pytest.fixture
-def pair(tiny_heap: Heap) -> Heap:
-    """The target under the book and its pad: soon dropped and searched."""
-    names = ("book", "pad")
-    return dataclasses.replace(
-        tiny_heap,
-        objects=tuple(o for o in tiny_heap.objects if o.name in names),
-    )
-
-
-@pytest.fixture
-def quick(scenario: Scenario) -> Scenario:
+def quick(tiny_scenario: Scenario) -> Scenario:
     """For what does not depend on how good a grasp is."""
-    quick = copy.deepcopy(scenario)
-    quick.scene.num_objects = 2
-    quick.gripper.planner = ModelPlannerConfig(
+    tiny_scenario.scene.num_objects = 2
+    tiny_scenario.gripper.planner = ModelPlannerConfig(
         jaw_samples=100,
         suction_samples=40,
         suction_turns=2,
@@ -87,48 +71,43 @@ def quick(scenario: Scenario) -> Scenario:
         enough=1,
         rehearsals=0,
     )
-    return quick
+    return tiny_scenario
 
 
-@pytest.fixture(scope="module")
-def played(
-    scenario: Scenario, tiny_heap: Heap
-) -> tuple[dict[str, np.ndarray], dict[str, Any], list[Step]]:
-    """X-Ray as an agent, rewarded by the surrogate."""
+@pytest.fixture
+def pair(tiny_heap: Heap) -> Heap:
+    """The target under the book and its pad: soon dropped and searched."""
+    objects = (o for o in tiny_heap.objects if o.name in ("book", "pad"))
+    return replace(tiny_heap, objects=tuple(objects))
+
+
+def test_xray_as_an_agent_does_what_the_policy_does(
+    tiny_heap: Heap, tiny_scenario: Scenario
+) -> None:
+    """Rewarded by the surrogate; observations and rewards say what is seen."""
+    record = run_search(build_search_diagram(tiny_scenario, heap=tiny_heap))
     env = gymnasium.make(
         ENV_ID,
-        scenario=scenario,
+        scenario=replace(tiny_scenario, seed=99),  # not reset's
         reward="surrogate",
         gamma=GAMMA,
         observe_occupancy=True,
         drop=lambda scenario: tiny_heap,
     )
     assert isinstance(env.unwrapped, DrakeGymEnv)
-    return play(
-        env,
-        policy_agent("xray", target_first=False),
-        seed=7,
-    )
-
-
-def test_xray_as_an_agent_does_what_the_policy_does(
-    played: Any, tiny_heap: Heap, tiny_scenario: Scenario
-) -> None:
-    _, _, steps = played
-    record = run_search(build_search_diagram(tiny_scenario, heap=tiny_heap))
+    agent = policy_agent("xray", target_first=False)
+    first, start, steps = play(env, agent, seed=7)
     mine = steps[-1][-1]["record"]
     assert mine["policy"] == "agent"
-    assert [s[-1]["object"] for s in steps] == [
-        a.object for a in record.actions
-    ]
-    assert without_times(mine) == without_times(record.to_dict())
+    assert without_scores(mine) == without_scores(stripped(record))
     assert [s[2:4] for s in steps[:-1]] == [(False, False)] * (len(steps) - 1)
     assert steps[-1][2:4] == (True, False)
     assert steps[-1][-1]["end"] == "success"
+    check_rewards(start, steps)
+    check_what_is_observed(first, steps)
 
 
-def test_the_rewards_are_those_of_the_record(played: Any) -> None:
-    _, start, steps = played
+def check_rewards(start: dict[str, Any], steps: list[Step]) -> None:
     actions = steps[-1][-1]["record"]["actions"]
     rewards = [reward for _, reward, *_ in steps]
     assert rewards == [
@@ -138,6 +117,7 @@ def test_the_rewards_are_those_of_the_record(played: Any) -> None:
     assert start["discounted_return"] == 0
     for k, (*_, info) in enumerate(steps):
         assert info["gamma"] == GAMMA
+        assert info["object"] == actions[k]["object"]
         expected = sum(GAMMA**i * r for i, r in enumerate(rewards[: k + 1]))
         assert info["discounted_return"] == pytest.approx(expected)
         assert ("record" in info) == (k == len(steps) - 1)
@@ -150,13 +130,13 @@ def test_the_rewards_are_those_of_the_record(played: Any) -> None:
     assert seen[-1] == 1
 
 
-def test_what_is_observed(played: Any) -> None:
-    first, _, steps = played
+def check_what_is_observed(
+    first: dict[str, np.ndarray], steps: list[Step]
+) -> None:
     labels, mask = first["instances"], first["target_mask"].astype(bool)
     areas = np.bincount(labels[labels >= 0])
     assert (np.diff(areas) <= 0).all()  # the largest first
-    target = np.unique(labels[mask])
-    assert len(target) == 1
+    assert len(np.unique(labels[mask])) == 1
     assert first["depth"].dtype == np.float32
     assert 0.7 < np.median(first["depth"]) < 0.81
     assert first["occupancy"].max() == 1
@@ -164,26 +144,21 @@ def test_what_is_observed(played: Any) -> None:
     valid = np.flatnonzero(first["action_mask"])
     assert set(valid) <= set(range(len(areas)))
     # An object that was taken away is not seen any more.
-    last = steps[0][0]
     assert steps[0][-1]["object"] == "book"
-    assert last["target_mask"].sum() > 5 * mask.sum()
+    assert steps[0][0]["target_mask"].sum() > 5 * mask.sum()
 
 
 def test_a_search_that_has_ended_needs_a_reset(
-    scenario: Scenario, tiny_heap: Heap
+    tiny_scenario: Scenario, tiny_heap: Heap
 ) -> None:
     """And an invalid action spends one of the horizon's."""
-    brief = copy.deepcopy(scenario)
-    brief.horizon = 2
+    tiny_scenario.horizon = 2
     env = MechanicalSearchEnv(
-        brief, drop=lambda scenario: tiny_heap, render_mode="rgb_array"
+        tiny_scenario, drop=lambda scenario: tiny_heap, render_mode="rgb_array"
     )
     # Drake's own modes have not got in.
-    assert (
-        MechanicalSearchEnv.metadata["render_modes"]
-        == env.metadata["render_modes"]
-    )
-    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    modes = MechanicalSearchEnv.metadata["render_modes"]
+    assert modes == env.metadata["render_modes"] == ["human", "rgb_array"]
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(0)
     before, info = env.reset(seed=7)
@@ -214,11 +189,12 @@ def test_a_search_that_has_ended_needs_a_reset(
         env.step(0)
 
 
-def test_nothing_graspable_ends_it(scenario: Scenario, tiny_heap: Heap) -> None:
-    weak = copy.deepcopy(scenario)
-    weak.gripper.parameters.force = 1e-6
-    weak.gripper.parameters.vacuum_force = 1e-6
-    env = MechanicalSearchEnv(weak, drop=lambda scenario: tiny_heap)
+def test_nothing_graspable_ends_it(
+    tiny_scenario: Scenario, tiny_heap: Heap
+) -> None:
+    tiny_scenario.gripper.parameters.force = 1e-6
+    tiny_scenario.gripper.parameters.vacuum_force = 1e-6
+    env = MechanicalSearchEnv(tiny_scenario, drop=lambda scenario: tiny_heap)
     observation, _ = env.reset(seed=7)
     assert not observation["action_mask"].any()
     assert env.action_masks().all()  # or a masked policy has nothing to draw
@@ -247,9 +223,9 @@ def test_a_random_agent_to_the_end_and_again(
 
 
 def test_a_simulation_that_fails_truncates(
-    scenario: Scenario, tiny_heap: Heap, monkeypatch: pytest.MonkeyPatch
+    quick: Scenario, pair: Heap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    env = MechanicalSearchEnv(scenario, drop=lambda scenario: tiny_heap)
+    env = MechanicalSearchEnv(quick, drop=lambda scenario: pair)
     before, _ = env.reset(seed=7)
     monkeypatch.setattr("xray_drake.gym.environment.LONGEST_ACTION", 0.1)
     after, reward, terminated, truncated, info = env.step(0)
@@ -259,21 +235,21 @@ def test_a_simulation_that_fails_truncates(
     np.testing.assert_array_equal(after["depth"], before["depth"])
 
 
-def test_the_seed_of_the_heap(scenario: Scenario) -> None:
+def test_the_seed_of_the_heap(tiny_scenario: Scenario) -> None:
     seeds: list[int] = []
 
     def drop(scenario: Scenario) -> Heap:
         seeds.append(scenario.seed)
         raise HeapError("not today")
 
-    env = MechanicalSearchEnv(scenario, drop=drop)
+    env = MechanicalSearchEnv(tiny_scenario, drop=drop)
     for seed in (5, None, None, 5, None):
         with pytest.raises(HeapError, match="not today"):
             env.reset(seed=seed)
     assert seeds[0] == seeds[3] == 5
     assert seeds[1] == seeds[4] != seeds[2]
     assert min(seeds[1], seeds[2]) >= 10_000  # the others are for reports
-    assert scenario.seed == 99
+    assert tiny_scenario.seed == 7
 
 
 def test_a_heap_of_more_objects_than_actions(tiny_heap: Heap) -> None:
@@ -303,10 +279,8 @@ def test_what_cannot_be_made(settings: dict[str, Any], message: str) -> None:
 def test_rewards() -> None:
     before, after = SearchState(900, 0.25), SearchState(400, 0.75)
     lifted = SearchState(0, 1.0, success=True)
-    assert sparse(before, after) == 0
-    assert sparse(after, lifted) == 1
-    assert surrogate(before, after) == 500
-    assert surrogate(after, before) == -500
+    assert (sparse(before, after), sparse(after, lifted)) == (0, 1)
+    assert (surrogate(before, after), surrogate(after, before)) == (500, -500)
     assert visibility(before, after) == 0.5
     assert visibility(after, lifted) == 0.25
     assert discounted_return([1, 2, 4], 0.5) == 3
@@ -340,13 +314,12 @@ def test_agents() -> None:
     assert xray_agent(seen()) == random_agent(seen(), rng) == 0
 
 
-def test_gymnasiums_checker(quick: Scenario, pair: Heap) -> None:
-    env = gymnasium.make(ENV_ID, scenario=quick, drop=lambda scenario: pair)
-    check_env(env.unwrapped)
-
-
 # Images of one channel that are no bytes: it says that its own CNN policies
 # need to be given an extractor.
 @pytest.mark.filterwarnings("ignore:Your observation .* unconventional shape")
-def test_stable_baselines_checker(quick: Scenario, pair: Heap) -> None:
-    sb3_check_env(MechanicalSearchEnv(quick, drop=lambda scenario: pair))
+@pytest.mark.parametrize("check", [check_env, sb3_check_env])
+def test_checkers_of_gymnasium_and_stable_baselines(
+    quick: Scenario, pair: Heap, check: Callable[[gymnasium.Env], None]
+) -> None:
+    env = gymnasium.make(ENV_ID, scenario=quick, drop=lambda scenario: pair)
+    check(env.unwrapped)
