@@ -78,6 +78,8 @@ def test_the_package_has_eight() -> None:
         *("oracle", "memory", "lookahead", "grasp_aware", "combined"),
     ]
     assert POLICIES["xray"] == Policy(xray)
+    blind = {name for name in POLICIES if POLICIES[name].blind}
+    assert blind == {"largest", "random", "oracle"}
     assert all(not policy.source for policy in POLICIES.values())
 
 
@@ -140,8 +142,11 @@ def test_some_names_cannot_be_registered(name: str) -> None:
 
 
 def test_workers_are_told_what_they_can_import() -> None:
-    mine = register_policy("mine", thinnest, memory=True)
-    assert mine == Policy(thinnest, memory=True, source=f"{__name__}:thinnest")
+    mine = register_policy("mine", thinnest, memory=True, blind=True)
+    place = f"{__name__}:thinnest"
+    assert mine == Policy(thinnest, memory=True, blind=True, source=place)
+    assert Variant.make("mine", "geometric", True).occupancy == ""
+    assert Variant.make("yours", "geometric", True).occupancy == "geometric"
     assert for_workers(["xray", "mine"]) == {"mine": mine}
     register_policy("local", lambda view, rng: largest(view, rng))
     with pytest.raises(

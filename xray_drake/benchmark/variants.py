@@ -5,11 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from xray_drake.choices import current_occupancy
+from xray_drake.policy.registry import POLICIES, PolicyError
 from xray_drake.station.scenario import Scenario
-
-BLIND = ("random", "largest", "oracle")
-"""Policies that do not look at the distribution: whatever infers it, they do
-the same."""
 
 _FIRST = ("random", "largest", "xray")
 _LAST = ("oracle",)
@@ -33,7 +30,11 @@ class Variant:
     @classmethod
     def make(cls, policy: str, occupancy: str, target_first: bool) -> "Variant":
         """Returns a variant; the inference is left out where none is used."""
-        used = "" if policy in BLIND else current_occupancy(occupancy)
+        try:
+            blind = POLICIES[policy].blind
+        except PolicyError:  # that of a record, which is not installed here
+            blind = False
+        used = "" if blind else current_occupancy(occupancy)
         return cls(policy, used, target_first)
 
     @classmethod

@@ -29,6 +29,8 @@ class Policy:
         memory: the inference sees the depth image as remembered.
         outlook: the ranking imagines removals.
         truth: the ranking knows where the target is.
+        blind: the ranking does not look at the distribution: whatever infers
+            it, the policy does the same.
         source: where a policy that is not the package's own comes from, for
             the record.
     """
@@ -37,19 +39,15 @@ class Policy:
     memory: bool = False
     outlook: bool = False
     truth: bool = False
+    blind: bool = False
     source: str = ""
 
 
-_OWN = {
-    "xray": "ranking:xray",
-    "largest": "ranking:largest",
-    "random": "ranking:random",
-    "oracle": "beyond.policies:ORACLE",
-    "memory": "beyond.policies:MEMORY",
-    "lookahead": "beyond.policies:LOOKAHEAD",
-    "grasp_aware": "beyond.policies:GRASP_AWARE",
-    "combined": "beyond.policies:COMBINED",
-}
+_OWN = (
+    *("xray", "largest", "random"),
+    *("oracle", "memory", "lookahead", "grasp_aware", "combined"),
+)
+"""The paper's, and those beyond; see :mod:`xray_drake.policy.policies`."""
 
 
 class Policies(Mapping[str, Policy]):
@@ -67,11 +65,11 @@ class Policies(Mapping[str, Policy]):
 
     def __init__(self) -> None:
         """Finds the names; nothing is imported."""
-        own = [
-            EntryPoint(name, f"xray_drake.policy.{where}", GROUP)
-            for name, where in _OWN.items()
-        ]
-        self._points = {p.name: p for p in own}
+        place = "xray_drake.policy.policies"
+        self._points = {
+            name: EntryPoint(name, f"{place}:{name.upper()}", GROUP)
+            for name in _OWN
+        }
         for point in sorted(entry_points(group=GROUP)):
             self._points.setdefault(point.name, point)
         self._loaded: dict[str, Policy] = {}
@@ -146,6 +144,7 @@ def register_policy(
     memory: bool = False,
     outlook: bool = False,
     truth: bool = False,
+    blind: bool = False,
 ) -> Policy:
     """Gives a policy of your own a name, in this process and its workers.
 
@@ -158,6 +157,7 @@ def register_policy(
         memory: see :class:`Policy`, as for the others.
         outlook: the ranking imagines removals.
         truth: the ranking knows where the target is.
+        blind: the ranking does not look at the distribution.
 
     Returns:
         The policy.
@@ -169,7 +169,7 @@ def register_policy(
     if not hasattr(place, "__qualname__"):
         place = type(ranking)
     source = f"{place.__module__}:{place.__qualname__}"
-    policy = Policy(ranking, memory, outlook, truth, source)
+    policy = Policy(ranking, memory, outlook, truth, blind, source)
     POLICIES.register(name, policy)
     return policy
 
