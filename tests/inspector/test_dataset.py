@@ -1,17 +1,15 @@
 import builtins
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from tests.dataset.whole import bare_sample
 from xray_drake.dataset.sample import Sample
-from xray_drake.inspector import dataset as module
 from xray_drake.inspector.dataset import (
     DrakeViewer,
-    Lines,
     Points,
     PyPIViewer,
     sample_layers,
@@ -39,19 +37,9 @@ def sample() -> Sample:
     )
 
 
-def _points(layer: Points | Lines) -> Points:
-    assert isinstance(layer, Points)
-    return layer
-
-
-def _lines(layer: Points | Lines) -> Lines:
-    assert isinstance(layer, Lines)
-    return layer
-
-
 def test_layers_lie_where_they_belong(sample: Sample) -> None:
-    layers = sample_layers(sample)
-    scene = _points(layers["scene"])
+    layers: dict[str, Any] = sample_layers(sample)
+    scene = layers["scene"]
     on_target = scene.positions[:, 2] > 0.004
     assert on_target.sum() == 32  # all of its pixels
     assert 50 < (~on_target).sum() < 24 * 32 // 4  # some of the others
@@ -60,12 +48,12 @@ def test_layers_lie_where_they_belong(sample: Sample) -> None:
     assert scene.positions[:, 2].min() == pytest.approx(0, abs=1e-6)
     assert scene.positions[:, 2].max() == pytest.approx(0.005, abs=1e-6)
 
-    occupancy = _points(layers["occupancy"])
+    occupancy = layers["occupancy"]
     assert occupancy.positions.shape == (32, 3)
     np.testing.assert_allclose(occupancy.positions[:, 2], 0.001)
     assert np.all(occupancy.colors == occupancy.colors[0])
 
-    box = _lines(layers["target"])
+    box = layers["target"]
     assert box.ends.shape == (12, 2, 3)
     np.testing.assert_allclose(
         np.ptp(box.ends.reshape(-1, 3), axis=0), sample.target_size
@@ -78,19 +66,19 @@ def test_layers_lie_where_they_belong(sample: Sample) -> None:
         np.sort(lengths), np.repeat([0.005, 0.08, 0.16], 4)
     )
 
-    camera = _lines(layers["camera"])
+    camera = layers["camera"]
     assert camera.ends.shape == (8, 2, 3)
     np.testing.assert_allclose(camera.ends[:4, 0], [[0.1, 0, 0.8]] * 4)
     np.testing.assert_allclose(camera.ends[4:, :, 2], 0.7)
 
-
-def test_nothing_likely_nothing_drawn(sample: Sample) -> None:
     blank = dataclasses.replace(sample, occupancy=np.zeros(sample.shape))
-    assert len(_points(sample_layers(blank)["occupancy"]).positions) == 0
+    nothing = cast(Points, sample_layers(blank)["occupancy"])
+    assert len(nothing.positions) == 0
 
 
 def test_drakes_meshcat_shows_it(sample: Sample) -> None:
-    viewer = DrakeViewer()
+    viewer = start_viewer()
+    assert isinstance(viewer, DrakeViewer)
     show_sample(viewer, sample)
     for path in ("scene", "occupancy", "camera", "target"):
         assert viewer.meshcat.HasPath(f"sample/{path}")
@@ -178,10 +166,3 @@ def test_which_meshcat_is_started(
     without("meshcat")
     with pytest.raises(RuntimeError, match="pip install meshcat"):
         start_viewer()
-
-
-def test_drakes_is_taken_where_there_is_drake(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(module.DrakeViewer, "__init__", lambda self: None)
-    assert isinstance(start_viewer(), DrakeViewer)

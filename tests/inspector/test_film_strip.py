@@ -7,22 +7,14 @@ import pytest
 from xray_drake.inspector.film_strip import FilmStrip
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import build_search_diagram
-from xray_drake.search.record import SearchRecord
 from xray_drake.search.rollout import run_search
 from xray_drake.testing.tiny import make_tiny_scenario
 
 
-@pytest.fixture(scope="module")
-def filmed(tiny_heap: Heap) -> tuple[FilmStrip, SearchRecord]:
+def test_a_frame_for_each_action(tiny_heap: Heap, tmp_path: Path) -> None:
     film = FilmStrip()
     diagram = build_search_diagram(make_tiny_scenario(), heap=tiny_heap)
-    return film, run_search(diagram, observers=(film,))
-
-
-def test_a_frame_for_each_action(
-    filmed: tuple[FilmStrip, SearchRecord],
-) -> None:
-    film, record = filmed
+    record = run_search(diagram, observers=(film,))
     panels = film.figure().axes[: record.num_actions]
     assert len(film.snapshots) == record.num_actions > 1
     pictures = []
@@ -41,13 +33,8 @@ def test_a_frame_for_each_action(
     assert pictures[0].shape[0] < film.snapshots[0].color.shape[0]
     changed = (film.snapshots[0].color != film.snapshots[-1].color).any(axis=2)
     assert changed.mean() > 0.01
-
-
-def test_it_is_written(
-    filmed: tuple[FilmStrip, SearchRecord], tmp_path: Path
-) -> None:
     path = tmp_path / "film.PNG"
-    filmed[0].write(path)
+    film.write(path)
     assert cv2.imread(str(path)).std() > 10
 
 

@@ -8,6 +8,7 @@ from tests.meshcat_probe import prop
 from xray_drake.drawing.colors import heat
 from xray_drake.inspector.layers import (
     LAYERS,
+    Layer,
     SnapshotLayers,
     mask_colors,
     score_colors,
@@ -75,17 +76,16 @@ def test_layers_are_drawn_when_they_are_first_seen(
 
 def test_going_back_draws_nothing(meshcat: Meshcat, replay: Replay) -> None:
     calls: list[tuple[str, int]] = []
-    counted = tuple(
-        replace(
-            layer,
-            draw=lambda m, path, shot, layer=layer: (
-                calls.append((layer.name, shot.step)),
-                layer.draw(m, path, shot),
-            ),
-        )
-        for layer in LAYERS
-    )
-    layers = SnapshotLayers(meshcat, replay.snapshots, counted)
+
+    def counted(layer: Layer) -> Layer:
+        def draw(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
+            calls.append((layer.name, shot.step))
+            layer.draw(meshcat, path, shot)
+
+        return replace(layer, draw=draw)
+
+    counting = [counted(layer) for layer in LAYERS]
+    layers = SnapshotLayers(meshcat, replay.snapshots, counting)
     for step in (1, 2, 1, 2):
         layers.show(step)
     layers.set_opacity("occupancy", 0.25)
@@ -95,34 +95,21 @@ def test_going_back_draws_nothing(meshcat: Meshcat, replay: Replay) -> None:
     assert sorted(calls) == sorted((n, s) for n in NAMES for s in (1, 2))
     assert seen(meshcat, 2) == SHOWN
     assert not seen(meshcat, 1)
+    # The next search deletes them.
+    SnapshotLayers(meshcat, replay.snapshots[:1])
+    assert not drawn(meshcat, 1) | drawn(meshcat, 2)
 
 
 def test_opacity_follows_to_every_step(
     meshcat: Meshcat, replay: Replay
 ) -> None:
     layers = SnapshotLayers(meshcat, replay.snapshots)
-
-    def opacity(step: int) -> object:
+    for step, opacity in ((1, 0.75), (1, 0.25), (2, 0.5), (1, 1.0)):
+        layers.set_opacity("occupancy", opacity)
+        layers.show(step)
         path = f"/inspect/occupancy/step_{step:02d}/<object>"
-        return prop(meshcat, path, "modulated_opacity")
-
-    layers.show(1)
-    assert opacity(1) == 0.75
-    layers.set_opacity("occupancy", 0.25)
-    assert opacity(1) == 0.25
-    layers.show(2)
-    assert opacity(2) == 0.25
-    layers.set_opacity("occupancy", 1.0)
-    layers.show(1)
-    assert opacity(1) == opacity(2) == 1.0
-    assert layers.opacity("occupancy") == 1.0
-
-
-def test_an_earlier_search_is_deleted(meshcat: Meshcat, replay: Replay) -> None:
-    SnapshotLayers(meshcat, replay.snapshots).draw_all()
-    assert drawn(meshcat, 2) == set(NAMES)
-    SnapshotLayers(meshcat, replay.snapshots[:1])
-    assert not drawn(meshcat, 1) | drawn(meshcat, 2)
+        assert prop(meshcat, path, "modulated_opacity") == opacity
+        assert layers.opacity("occupancy") == opacity
 
 
 def test_masks_keep_their_colours(replay: Replay) -> None:
@@ -137,18 +124,13 @@ def test_masks_keep_their_colours(replay: Replay) -> None:
     assert len({tuple(c) for c in colors[0].values()}) == len(colors[0])
     red, green, blue = colors[0]["box_2to1"]
     assert red > 3 * max(green, blue)
-
-
-def test_segments_have_colours_too(replay: Replay) -> None:
+    # Segments have colours, too.
     shot = replay.snapshots[0]
-    labels = shot.instances.labels
-    names = tuple(f"segment_{k}" for k in range(len(shot.instances.names)))
-    segments = replace(
-        shot, instances=InstanceMasks(labels, names), target="segment_2"
-    )
-    colors = mask_colors(segments)
-    assert len(np.unique(colors, axis=0)) == len(names)
-    assert colors[2, 0] > 3 * max(colors[2, 1:])
+    names = tuple(f"segment_{k}" for k in range(len(colors[0])))
+    segments = InstanceMasks(shot.instances.labels, names)
+    painted = mask_colors(replace(shot, instances=segments, target="segment_2"))
+    assert len(np.unique(painted, axis=0)) == len(names)
+    assert painted[2, 0] > 3 * max(painted[2, 1:])
 
 
 def test_scores_as_heat(replay: Replay) -> None:

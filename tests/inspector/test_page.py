@@ -95,22 +95,6 @@ def test_layers_and_x_ray(meshcat: Meshcat, rollout: InspectorPage) -> None:
     assert prop(meshcat, book, "modulated_opacity") == 0.375
 
 
-def test_the_last_button_says_what_it_drops(
-    meshcat: Meshcat, heap: InspectorPage
-) -> None:
-    assert DROP in meshcat.GetButtonNames()
-    assert meshcat.GetSliderValue(TARGET) == 2
-    move(meshcat, TARGET, 12)
-    move(meshcat, OBJECTS, 6)
-    assert heap.poll()
-    assert DROP not in meshcat.GetButtonNames()
-    assert "drop domino, 6 objects, seed 7" in meshcat.GetButtonNames()
-    move(meshcat, SEED, 31)
-    assert heap.poll()
-    assert "drop domino, 6 objects, seed 31" in meshcat.GetButtonNames()
-    assert not heap.poll()
-
-
 def test_a_search_of_the_heap(
     meshcat: Meshcat, heap: InspectorPage, told: list[str]
 ) -> None:
@@ -134,10 +118,7 @@ def test_a_search_of_the_heap(
     assert not heap.poll()
 
 
-Drop = Callable[..., Heap]
-
-
-def test_another_heap(
+def test_the_last_button_says_what_it_drops_and_does(
     meshcat: Meshcat,
     rollout: InspectorPage,
     tiny_heap: Heap,
@@ -153,13 +134,21 @@ def test_another_heap(
         return tiny_heap
 
     monkeypatch.setattr(module, "make_heap", drop)
-    move(meshcat, SEED, 8)
-    move(meshcat, OBJECTS, 3)
-    rollout.poll()
-    click(meshcat, "drop box_2to1, 3 objects, seed 8")
+    assert DROP in meshcat.GetButtonNames()
+    assert meshcat.GetSliderValue(TARGET) == 2
+    move(meshcat, TARGET, 12)
+    move(meshcat, OBJECTS, 6)
+    assert rollout.poll()
+    assert DROP not in meshcat.GetButtonNames()
+    assert "drop domino, 6 objects, seed 7" in meshcat.GetButtonNames()
+    move(meshcat, SEED, 31)
+    assert rollout.poll()
+    assert not rollout.poll()
+    click(meshcat, "drop domino, 6 objects, seed 31")
     assert rollout.poll()
     (scenario,) = given
-    assert (scenario.seed, scenario.scene.num_objects) == (8, 3)
+    chosen = scenario.seed, scenario.scene.target, scenario.scene.num_objects
+    assert chosen == (31, "domino", 6)
     assert scenario.scene.random_number.mean == 0
     assert "dropping … 40%" in labels
     assert not rollout.view.replay.ended

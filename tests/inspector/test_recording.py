@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pydrake.geometry import Meshcat
@@ -7,11 +5,7 @@ from pydrake.geometry import Meshcat
 from tests.meshcat_probe import messages, prop, tracks, vertices
 from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.inspector.layers import SEARCH_LAYERS
-from xray_drake.inspector.recording import (
-    SearchDrawing,
-    record_search,
-    write_html,
-)
+from xray_drake.inspector.recording import SearchDrawing, record_search
 from xray_drake.messages import Grasp, GraspKind, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
@@ -122,25 +116,12 @@ def test_a_diagram_without_meshcat_cannot_be_recorded(
         record_search(tiny_diagram)
 
 
-def test_the_page_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    meshcat = start_meshcat()
-    write_html(meshcat, tmp_path / "page.html")
-    assert "meshcat" in (tmp_path / "page.html").read_text(encoding="utf-8")
-    with pytest.raises(OSError, match="folder"):
-        write_html(meshcat, tmp_path / "no folder" / "page.html")
-    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
-
-
-def action_on(name: str, number: int) -> SearchAction:
-    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
-    return SearchAction(number, Grasp(GraspKind.JAW, name, X_WG, width=0.02))
-
-
 def test_a_decision_is_shown_live_until_its_action_ends(
     meshcat: Meshcat, tiny_diagram: SearchDiagram
 ) -> None:
     context = tiny_diagram.CreateDefaultContext()
     drawing = SearchDrawing(meshcat)
+    X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
 
     def visible(step: int) -> list[bool]:
         return [
@@ -149,7 +130,8 @@ def test_a_decision_is_shown_live_until_its_action_ends(
         ]
 
     for number, name in enumerate(("book", "book", "plank"), 1):
-        drawing.decided(tiny_diagram, context, action_on(name, number))
+        grasp = Grasp(GraspKind.JAW, name, X_WG, width=0.02)
+        drawing.decided(tiny_diagram, context, SearchAction(number, grasp))
         assert all(visible(number))
         assert number == 1 or not any(visible(number - 1))
     drawing.ended(

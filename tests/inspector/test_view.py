@@ -38,26 +38,26 @@ def test_steps_put_the_objects_where_they_were(
             view.show(wrong)
 
 
-def test_the_gripper_is_not_in_the_way(
-    meshcat: Meshcat, looked_at: Replay
-) -> None:
-    view = ReplayView(looked_at, meshcat)
-    view.show(1)
-    assert prop(meshcat, "visualizer/drawn", "visible") is False
-
-
 def test_x_ray(meshcat: Meshcat, looked_at: Replay) -> None:
     view = ReplayView(looked_at, meshcat)
     with pytest.raises(ValueError, match=r"'cup'.*ForcedPublish"):
         set_opacity(meshcat, "cup", 0.25)
+
+    def opacities() -> set[float]:
+        return {
+            prop(meshcat, path.format(name), "modulated_opacity")
+            for name in ("book", "pad", "block", "plank")
+        }
+
+    path = "visualizer/{0}/{0}/{0}/visual"
     view.set_heap_opacity(0.25)
-    for name in ("book", "pad", "block", "plank"):
-        path = f"visualizer/{name}/{name}/{name}/visual"
-        assert prop(meshcat, path, "modulated_opacity") == 0.25
-    target = "visualizer/box_2to1/box_2to1/box_2to1/visual"
+    assert opacities() == {0.25}
+    target = path.format("box_2to1")
     assert prop(meshcat, target, "modulated_opacity") == 1.0
     view.show(1)
-    assert prop(meshcat, path, "modulated_opacity") == 0.25
+    assert opacities() == {0.25}
+    # The gripper is not in the way.
+    assert prop(meshcat, "visualizer/drawn", "visible") is False
 
 
 def test_what_is_said_of_a_step(
