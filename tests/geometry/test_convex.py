@@ -23,7 +23,9 @@ def test_half_the_least_side_of_a_box_however_it_lies(
 ) -> None:
     rng = np.random.default_rng(seed)
     turn = Rotation.from_quat(rng.normal(size=4)).as_matrix()
-    vertices = cuboid((x, y, z)) @ turn.T + rng.uniform(-1, 1, 3)
+    vertices = cuboid((x, y, z))
+    vertices = np.vstack([vertices, 0.3 * vertices])  # some inside
+    vertices = vertices @ turn.T + rng.uniform(-1, 1, 3)
     assert half_thickness(vertices) == pytest.approx(min(x, y, z) / 2)
 
 
@@ -31,12 +33,6 @@ def test_a_tetrahedron_from_a_face_to_the_opposite_vertex() -> None:
     edge = np.sqrt(2.0)
     vertices = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]) * 1.0
     assert half_thickness(vertices) == pytest.approx(edge * np.sqrt(2 / 3) / 2)
-
-
-def test_points_inside_do_not_matter() -> None:
-    vertices = cuboid((0.1, 0.05, 0.02))
-    inside = np.vstack([vertices, 0.3 * vertices])
-    assert half_thickness(inside) == pytest.approx(0.01)
 
 
 def test_a_flat_piece_is_an_error() -> None:
