@@ -136,6 +136,7 @@ def test_any_name_of_a_file_is_one_that_drake_takes(tmp_path):
         model = replace(target_model("lid"), name=name)
         add_object(plant, model)
         path = write_sdf(replace(model, name=f"{name}_"), tmp_path / "sdf")
+        assert path.parent == tmp_path / "sdf"
         Parser(plant).AddModels(str(path))
         name.encode()
     plant.Finalize()

@@ -2,10 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 from pydrake.geometry import Role
-from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.resources import models_dir
@@ -129,25 +127,3 @@ def test_parser_can_be_configured_twice():
     configure_parser(parser)
     path = parser.package_map().GetPath("xray_drake_models")
     assert (models_dir() / "package.xml").samefile(f"{path}/package.xml")
-
-
-def test_a_target_rests_on_the_floor_of_the_bin():
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.005)
-    parser = Parser(plant)
-    configure_parser(parser)
-    url = "package://xray_drake_models"
-    parser.AddModelsFromUrl(f"{url}/bin/bin.sdf")
-    parser.AddModelsFromUrl(f"{url}/targets/lid.sdf")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("bin"))
-    plant.Finalize()
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    lid = plant.GetBodyByName("lid")
-    plant.SetFreeBodyPose(context, lid, RigidTransform([0.1, -0.05, 0.02]))
-    simulator.AdvanceTo(0.6)
-    X_WO = plant.EvalBodyPoseInWorld(context, lid)
-    np.testing.assert_allclose(
-        X_WO.translation(), [0.1, -0.05, 0.005], atol=1e-3
-    )

@@ -12,7 +12,6 @@ from xray_drake.choices import TARGET_NAMES
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import ContactConfig, hydroelastic_modulus
 from xray_drake.scene.library import make_object
-from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.sdf import write_sdf, write_targets
 from xray_drake.scene.targets import target_model
 
@@ -91,17 +90,6 @@ def test_visual_mesh_is_complete_and_has_normals(tmp_path):
     assert path.read_text().count("\nvn ") > 100
     mesh = trimesh.load_mesh(path)
     assert mesh.volume == pytest.approx(model.visual.volume, rel=1e-5)
-
-
-def test_imported_names_make_flat_file_names(tmp_path):
-    (tmp_path / "in").mkdir()
-    trimesh.creation.icosphere(2, 0.03).export(tmp_path / "in" / "ball.obj")
-    (model,) = load_meshes(tmp_path / "in")
-    path = write_sdf(model, tmp_path / "out")
-    assert path == tmp_path / "out" / "in_ball.sdf"
-    plant, _ = parse(path)
-    mass = plant.GetBodyByName("in/ball").default_mass()
-    assert mass == pytest.approx(model.mass, rel=1e-5)
 
 
 def vertices(path):
