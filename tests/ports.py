@@ -1,6 +1,21 @@
 """Ports of systems, for tests."""
 
-from pydrake.systems.framework import System
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, System
+from pydrake.systems.sensors import (
+    ImageDepth32F,
+    ImageLabel16I,
+    ImageRgba8U,
+)
+
+IMAGES = {
+    "color_image": ImageRgba8U,
+    "depth_image": ImageDepth32F,
+    "label_image": ImageLabel16I,
+}
 
 
 def inputs_of(system: System) -> list[str]:
@@ -22,3 +37,20 @@ def outputs_of(system: System) -> list[str]:
 def ports(system: System) -> tuple[list[str], list[str]]:
     """Returns the names of the input and of the output ports."""
     return inputs_of(system), outputs_of(system)
+
+
+def fix_inputs(system: System, context: Context, **inputs: Any) -> None:
+    """Fixes abstract input ports; arrays become images of the port's kind."""
+    for name, value in inputs.items():
+        if isinstance(value, np.ndarray):
+            image = IMAGES[name](value.shape[1], value.shape[0])
+            image.mutable_data[:] = value.reshape(*value.shape[:2], -1)
+            value = image
+        system.GetInputPort(name).FixValue(context, AbstractValue.Make(value))
+
+
+def context_with(system: System, **inputs: Any) -> Context:
+    """Returns a context of a system alone, with these inputs."""
+    context = system.CreateDefaultContext()
+    fix_inputs(system, context, **inputs)
+    return context

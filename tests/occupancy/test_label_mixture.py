@@ -93,12 +93,3 @@ def test_what_all_labels_agree_on_is_the_answer() -> None:
         histogram[0, column, level] = 1.0
     answer = best_answer(histogram, cost=0.8, slack=0.05)[0]
     assert np.abs(answer - [0.0, 0.5, 1.0]).max() < 0.01
-
-
-def test_the_answer_is_close_to_two_labels_if_it_can_be_so() -> None:
-    histogram = np.zeros((1, 2, LEVELS + 1), np.float32)
-    histogram[0, 0, [LEVELS // 2, LEVELS * 4 // 5]] = 0.4, 0.6
-    histogram[0, 1, [0, LEVELS]] = 0.3, 0.7
-    between, sure = best_answer(histogram, cost=0.5, slack=0.01)[0]
-    assert 0.6 < between < 0.7
-    assert sure > 0.8

@@ -1,57 +1,32 @@
 """The OccupancyInference system alone: fix its inputs, read its output."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context
-from pydrake.systems.sensors import ImageDepth32F
 
-from tests.ports import inputs_of
+from tests.occupancy.scenes import make_camera
+from tests.ports import context_with, fix_inputs, ports
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution, TargetMask
 from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.system import OccupancyInference
 from xray_drake.scene.targets import target_model
 
-WIDTH, HEIGHT = 128, 96
-SHAPE = (HEIGHT, WIDTH)
+CAMERA = make_camera(focal_length=138, center=(63.5, 47.5), size=(128, 96))
+BLANK = np.zeros(CAMERA.shape, bool)
+DEPTH = np.full(CAMERA.shape, 0.8, np.float32)
+DEPTH[30:60, 40:80] = 0.75
 
 
-@pytest.fixture(scope="module")
-def system() -> OccupancyInference:
-    inference = GeometricInference(target_model("box_2to1"))
-    return OccupancyInference(inference=inference, width=WIDTH, height=HEIGHT)
-
-
-def overhead_camera() -> PinholeCamera:
-    K = np.array([[138.0, 0, 63.5], [0, 138.0, 47.5], [0, 0, 1]])
-    X_WC = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WC[2, 3] = 0.8
-    return PinholeCamera(WIDTH, HEIGHT, K, X_WC)
-
-
-def context_with(
-    system: OccupancyInference, depth: np.ndarray, mask: np.ndarray
-) -> Context:
-    context = system.CreateDefaultContext()
-    fix_depth(system, context, depth)
-    system.GetInputPort("target_mask").FixValue(
-        context, AbstractValue.Make(TargetMask(mask))
-    )
-    system.GetInputPort("camera").FixValue(
-        context, AbstractValue.Make(overhead_camera())
-    )
-    return context
-
-
-def fix_depth(
-    system: OccupancyInference, context: Context, depth: np.ndarray
-) -> None:
-    image = ImageDepth32F(depth.shape[1], depth.shape[0])
-    image.mutable_data[:, :, 0] = depth
-    system.GetInputPort("depth_image").FixValue(
-        context, AbstractValue.Make(image)
-    )
+def inputs(
+    depth: np.ndarray = DEPTH,
+    mask: np.ndarray = BLANK,
+    camera: PinholeCamera = CAMERA,
+) -> dict[str, object]:
+    target_mask = TargetMask(mask)
+    return {"depth_image": depth, "target_mask": target_mask, "camera": camera}
 
 
 def evaluate(
@@ -60,136 +35,89 @@ def evaluate(
     return system.GetOutputPort("occupancy").Eval(context)
 
 
-def cluttered_depth() -> np.ndarray:
-    depth = np.full(SHAPE, 0.8, np.float32)
-    depth[30:60, 40:80] = 0.75
-    return depth
+def make_system(inference: object) -> OccupancyInference:
+    return OccupancyInference(inference=inference, width=128, height=96)
 
 
-def test_ports_are_named(system: OccupancyInference) -> None:
-    inputs = inputs_of(system)
-    assert inputs == ["depth_image", "target_mask", "camera"]
-    assert system.num_output_ports() == 1
-    assert system.get_output_port().get_name() == "occupancy"
-
-
-def test_output_is_what_the_inference_says(system: OccupancyInference) -> None:
-    depth, mask = cluttered_depth(), np.zeros(SHAPE, bool)
-    output = evaluate(system, context_with(system, depth, mask))
-    expected = GeometricInference(target_model("box_2to1")).infer(
-        depth, mask, overhead_camera()
+def test_output_is_what_the_inference_says() -> None:
+    inference = GeometricInference(target_model("box_2to1"))
+    system = make_system(inference)
+    assert ports(system) == (
+        ["depth_image", "target_mask", "camera"],
+        ["occupancy"],
     )
+    output = evaluate(system, context_with(system, **inputs()))
+    expected = inference.infer(DEPTH, BLANK, CAMERA)
     np.testing.assert_array_equal(output.data, expected.data)
     assert output.method == "geometric"
     assert output.support_size() > 100
 
 
+class Counting:
+    """Answers with the depth image, and counts."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def infer(
+        self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+    ) -> OccupancyDistribution:
+        self.calls += 1
+        return OccupancyDistribution(np.array(depth))
+
+
 def test_output_is_cached_until_an_input_changes() -> None:
-    calls = []
-
-    class Counting:
-        def infer(
-            self,
-            depth: np.ndarray,
-            target_mask: np.ndarray,
-            camera: PinholeCamera,
-        ) -> OccupancyDistribution:
-            calls.append(depth.copy())
-            return OccupancyDistribution(target_mask.astype(np.float32))
-
-    system = OccupancyInference(
-        inference=Counting(), width=WIDTH, height=HEIGHT
-    )
-    depth, mask = cluttered_depth(), np.zeros(SHAPE, bool)
-    context = context_with(system, depth, mask)
+    inference = Counting()
+    system = make_system(inference)
+    context = context_with(system, **inputs())
     evaluate(system, context)
     context.SetTime(1.0)
     evaluate(system, context)
-    assert len(calls) == 1
-    fix_depth(system, context, depth - 0.1)
-    evaluate(system, context)
-    assert len(calls) == 2
-    np.testing.assert_array_equal(calls[1], depth - np.float32(0.1))
-    fix_depth(system, context, depth - 0.1)  # rendered again
-    evaluate(system, context)
-    assert len(calls) == 2
-    one = mask.copy()
-    one[30, 40] = True
-    system.GetInputPort("target_mask").FixValue(
-        context, AbstractValue.Make(TargetMask(one))
-    )
-    assert evaluate(system, context).data[30, 40] == 1.0
-    moved = overhead_camera()
-    X_WC = np.array(moved.X_WC)
-    X_WC[2, 3] += 0.01
-    system.GetInputPort("camera").FixValue(
-        context,
-        AbstractValue.Make(
-            PinholeCamera(WIDTH, HEIGHT, moved.intrinsics, X_WC)
+    assert inference.calls == 1
+    seen = BLANK.copy()
+    seen[30, 40] = True
+    raised = np.array(CAMERA.X_WC)
+    raised[2, 3] += 0.01
+    longer = np.diag([139.0, 138.0, 1.0])
+    for calls, changed in enumerate(
+        (
+            inputs(DEPTH - 0.1),
+            inputs(mask=seen),
+            inputs(camera=replace(CAMERA, X_WC=raised)),
+            inputs(camera=replace(CAMERA, intrinsics=longer)),
         ),
-    )
-    evaluate(system, context)
-    assert len(calls) == 4
-
-
-def attributes(system: OccupancyInference) -> dict[str, object]:
-    """Without the bindings' own."""
-    return {
-        name: value
-        for name, value in vars(system).items()
-        if not name.startswith("_pydrake")
-    }
+        start=2,
+    ):
+        for _ in range(2):  # rendered again
+            fix_inputs(system, context, **changed)
+            output = evaluate(system, context)
+            assert inference.calls == calls
+            np.testing.assert_array_equal(output.data, changed["depth_image"])
 
 
 def test_what_was_seen_last_belongs_to_the_context() -> None:
-    calls = []
-
-    class Counting:
-        def infer(
-            self,
-            depth: np.ndarray,
-            target_mask: np.ndarray,
-            camera: PinholeCamera,
-        ) -> OccupancyDistribution:
-            calls.append(depth)
-            return OccupancyDistribution(depth)
-
-    system = OccupancyInference(
-        inference=Counting(), width=WIDTH, height=HEIGHT
-    )
-    before = attributes(system)
-    depth, mask = cluttered_depth(), np.zeros(SHAPE, bool)
-    one = context_with(system, depth, mask)
-    other = context_with(system, depth / 2, mask)
-    for context, image in ((one, depth), (other, depth / 2)) * 2:
-        fix_depth(system, context, image)  # rendered again
+    inference = Counting()
+    system = make_system(inference)
+    images = DEPTH, DEPTH / 2
+    contexts = [context_with(system, **inputs(image)) for image in images]
+    for context, image in list(zip(contexts, images, strict=True)) * 2:
+        fix_inputs(system, context, depth_image=image)  # rendered again
         np.testing.assert_array_equal(evaluate(system, context).data, image)
-    assert len(calls) == 2
-    assert attributes(system) == before
+    assert inference.calls == 2
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
-def test_depth_without_any_reading(
-    system: OccupancyInference, nothing: float
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (inputs(0 * DEPTH), "no reading at all"),
+        (inputs(mask=np.zeros((2, 3), bool)), r"mask is \(2, 3\)"),
+        (inputs(camera=make_camera(size=(64, 48))), r"built for \(96, 128\)"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    wrong: dict[str, object], message: str
 ) -> None:
-    depth = np.full(SHAPE, nothing, np.float32)
-    context = context_with(system, depth, np.zeros(SHAPE, bool))
-    with pytest.raises(ValueError, match="no reading at all") as error:
-        evaluate(system, context)
+    system = make_system(GeometricInference(target_model("box_2to1")))
+    with pytest.raises(ValueError, match=message) as error:
+        evaluate(system, context_with(system, **wrong))
     assert "\n" not in str(error.value)
-
-
-def test_mask_of_another_shape(system: OccupancyInference) -> None:
-    context = context_with(system, cluttered_depth(), np.zeros((2, 3), bool))
-    with pytest.raises(ValueError, match=r"mask is \(2, 3\)") as error:
-        evaluate(system, context)
-    assert "\n" not in str(error.value)
-
-
-def test_camera_of_another_shape(system: OccupancyInference) -> None:
-    context = context_with(system, cluttered_depth(), np.zeros(SHAPE, bool))
-    camera = overhead_camera()
-    other = PinholeCamera(64, 48, camera.intrinsics, camera.X_WC)
-    system.GetInputPort("camera").FixValue(context, AbstractValue.Make(other))
-    with pytest.raises(ValueError, match=r"built for \(96, 128\)"):
-        evaluate(system, context)

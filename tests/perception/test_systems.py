@@ -4,16 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem
-from pydrake.systems.sensors import (
-    ImageDepth32F,
-    ImageLabel16I,
-    ImageRgba8U,
-)
+from pydrake.systems.framework import LeafSystem
 
 from tests.masks import iou
-from tests.ports import ports
+from tests.ports import context_with, fix_inputs, ports
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import InstanceMasks, TargetMask
 from xray_drake.perception.depth_noise import DepthNoise
@@ -51,68 +45,46 @@ def blocks() -> np.ndarray:
 
 LABELS = np.array([[0, 7, 7, 9], [0, 7, 3, 9], [32767, 3, 3, 9]], np.int16)
 
-IMAGES = {
-    "color_image": ImageRgba8U,
-    "depth_image": ImageDepth32F,
-    "label_image": ImageLabel16I,
-}
-
-
-def fix(system: LeafSystem, context: Context, **inputs: Any) -> None:
-    for name, value in inputs.items():
-        if isinstance(value, np.ndarray):
-            image = IMAGES[name](value.shape[1], value.shape[0])
-            image.mutable_data[:] = value.reshape(*value.shape[:2], -1)
-            value = image
-        system.GetInputPort(name).FixValue(context, AbstractValue.Make(value))
-
 
 def output_of(system: LeafSystem, **inputs: Any) -> Any:
-    context = system.CreateDefaultContext()
-    fix(system, context, **inputs)
-    return system.get_output_port().Eval(context)
+    return system.get_output_port().Eval(context_with(system, **inputs))
 
 
 @pytest.mark.parametrize(
     ("system", "name", "inputs", "output"),
     [
+        (HsvTargetDetector(), "target_detector", "color_image", "target_mask"),
         (
             GroundTruthTargetDetector(target_label=3),
             "target_detector",
-            ["label_image"],
+            "label_image",
             "target_mask",
         ),
         (
             GroundTruthInstanceSegmenter(labels={}),
             "instance_segmenter",
-            ["label_image"],
+            "label_image",
             "instances",
-        ),
-        (
-            HsvTargetDetector(),
-            "target_detector",
-            ["color_image"],
-            "target_mask",
         ),
         (
             DepthInstanceSegmenter(),
             "instance_segmenter",
-            ["depth_image", "camera", "target_mask"],
+            "depth_image camera target_mask",
             "instances",
         ),
         (
             NoisyDepthSensor(),
             "depth_sensor",
-            ["depth_image", "camera"],
+            "depth_image camera",
             "depth_image",
         ),
     ],
 )
 def test_names_and_ports(
-    system: LeafSystem, name: str, inputs: list[str], output: str
+    system: LeafSystem, name: str, inputs: str, output: str
 ) -> None:
     assert system.get_name() == name
-    assert ports(system) == (inputs, [output])
+    assert ports(system) == (inputs.split(), [output])
 
 
 def test_ground_truth() -> None:
@@ -172,15 +144,13 @@ def test_segmenter() -> None:
 )
 def test_images_are_pulled_once(system: LeafSystem, image: np.ndarray) -> None:
     (name, *others), _ = ports(system)
-    context = system.CreateDefaultContext()
-    fix(system, context, **{name: image})
-    if "camera" in others:
-        fix(system, context, camera=CAMERA)
+    inputs = {name: image} | ({"camera": CAMERA} if others else {})
+    context = context_with(system, **inputs)
     output = system.get_output_port()
     first = output.Eval(context)
     context.SetTime(5.0)
     assert output.Eval(context) is first
-    fix(system, context, **{name: np.array(image)})
+    fix_inputs(system, context, **{name: np.array(image)})
     assert output.Eval(context) is not first
 
 
