@@ -12,7 +12,6 @@ from tests.cli.running import answer, complaint, output
 from tests.dataset.whole import bare_sample, tiny_dataset
 from xray_drake.dataset.manifest import read_manifest
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardReader, read_shard, write_shard
 from xray_drake.files import sole_writer
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import OccupancyDistribution
@@ -158,15 +157,6 @@ def test_two_evaluations_do_not_write_to_one_file(
         line = complaint(f"{COMMAND} {folder} --json {path}")
     assert "is being written by another process" in line
     assert not path.exists()
-
-
-def test_a_shard_that_does_not_belong_is_refused(folder: Path) -> None:
-    path = folder / "train-00001.h5"
-    with ShardReader(path) as shard:
-        attributes = replace(shard.attributes, dataset="0123")
-    write_shard(path, read_shard(path), attributes)
-    line = complaint(f"{COMMAND} {folder} --incomplete")
-    assert f"{path} belongs to another dataset" in line
 
 
 @pytest.mark.parametrize("option", ["unscaled", "posterior"])

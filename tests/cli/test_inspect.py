@@ -7,7 +7,6 @@ import pytest
 
 from tests.cli.running import complaint, output
 from xray_drake.cli import inspect_search as module
-from xray_drake.cli.inspect import kind_of
 
 SMALL = """\
 name: small
@@ -32,18 +31,6 @@ def recorded(small: Path) -> Path:
     path = small.parent / "search.json"
     output(f"search --scenario {small} --json {path}")
     return path
-
-
-def test_what_is_inspected(tmp_path: Path) -> None:
-    assert kind_of(None) == "heap"
-    assert kind_of(tmp_path) == "dataset"
-    with pytest.raises(ValueError, match=r"no file or folder .*nowhere\.jsn"):
-        kind_of(tmp_path / "nowhere.jsn")
-    for name in ("a.json", "b.jsonl"):
-        (tmp_path / name).touch()
-        assert kind_of(tmp_path / name) == "rollout"
-    (tmp_path / "rollouts.jsonl").touch()
-    assert kind_of(tmp_path) == "rollout"
 
 
 def test_a_recorded_search_as_a_page(recorded: Path, tmp_path: Path) -> None:
@@ -76,8 +63,8 @@ def test_a_rollout_of_a_benchmark_live(
     # Made by another version, it may go otherwise; that is said.
     record["actions"][1]["object"] = "cup"
     record["versions"]["drake"] = "1.40.0"
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(record))
+    path = tmp_path / "old.jsonl"
+    path.write_text(json.dumps(record) + "\n")
     told = output("inspect", path).splitlines()
     (line,) = [line for line in told if "differs" in line]
     assert "from step 2 on" in line

@@ -125,7 +125,6 @@ def test_a_bug_is_not_hidden(
 @pytest.mark.parametrize(
     ("command", "encoding"),
     [
-        (["search", "--help"], "ascii"),
         (["generate", "--help"], "latin-1"),
         (["objects", "list", "--family", "can"], "ascii"),
     ],
