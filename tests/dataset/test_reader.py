@@ -38,17 +38,13 @@ def test_an_item(dataset: Any) -> None:
             item["input"], augmented_depth(sample.depth, sample.target_modal)
         )
         np.testing.assert_allclose(
-            item["occupancy"][0], sample.occupancy, atol=1 / 255
+            item["occupancy"], sample.occupancy[None], atol=1 / 255
         )
         np.testing.assert_array_equal(item["modal"][0], sample.target_modal)
         np.testing.assert_array_equal(item["amodal"][0], sample.target_amodal)
         np.testing.assert_allclose(item["target_size"], sample.target_size)
-        assert item["index"] == index
-        assert item["key"] == str(sample.key)
-        assert items.keys[index] == sample.key
-        assert items.sample(index).key == sample.key
-    assert items[0]["input"].shape == (3, 24, 32)
-    assert items[0]["occupancy"].shape == (1, 24, 32)
+        assert (item["index"], item["key"]) == (index, str(sample.key))
+        assert items.keys[index] == items.sample(index).key == sample.key
     assert items[0]["occupancy"].dtype == torch.float32
     assert items[0]["modal"].dtype == torch.bool
     _assert_same(items[-1], items[9])
@@ -57,49 +53,48 @@ def test_an_item(dataset: Any) -> None:
             items[index]
 
 
-def test_splits_by_object(dataset: Any) -> None:
-    counts = [
-        len(OccupancyDataset(dataset.folder, split=split))
-        for split in ("train", "validation", "test")
-    ]
-    assert counts == [5, 2, 3]
-
-
 def test_splits_by_image_keep_heaps_together(dataset: Any) -> None:
     parts = [
         OccupancyDataset(dataset.folder, images=part, validation_share=0.5)
         for part in ("train", "validation")
     ]
-    seeds = [{key.heap_seed for key in part.keys} for part in parts]
-    assert seeds[0] & seeds[1] == set()
     assert sum(map(len, parts)) == 10
-    for key in parts[1].keys:
-        assert is_held_out(key.heap_seed, 0.5)
+    for part, held_out in zip(parts, (False, True), strict=True):
+        assert part.keys
+        for key in part.keys:
+            assert is_held_out(key.heap_seed, 0.5) == held_out
+
+
+@pytest.mark.parametrize(
+    ("chosen", "count"),
+    [
+        ({"split": "train"}, 5),
+        ({"split": "validation"}, 2),
+        ({"split": "test"}, 3),
+        ({"targets": ["lid"]}, 4),
+    ],
+)
+def test_some_samples_only(
+    dataset: Any, chosen: dict[str, Any], count: int
+) -> None:
+    items = OccupancyDataset(dataset.folder, **chosen)
+    assert len(items) == count
+    for index, key in enumerate(items.keys):
+        assert key.target_name in chosen.get("targets", key.target_name)
+        name = items.sample(index).object_names[0]
+        assert name.startswith(chosen.get("split", name))
 
 
 def test_the_share_of_heaps_held_out() -> None:
     held_out = [is_held_out(seed, 0.2) for seed in range(5000)]
     assert np.mean(held_out) == pytest.approx(0.2, abs=0.02)
     # The same for ever: a trained network depends on it.
-    assert [i for i, out in enumerate(held_out) if out][:5] == [
-        2,
-        6,
-        17,
-        18,
-        23,
-    ]
+    assert np.flatnonzero(held_out)[:5].tolist() == [2, 6, 17, 18, 23]
     # A larger share holds out the same and more.
-    assert all(
-        is_held_out(seed, 0.3) for seed, out in enumerate(held_out) if out
-    )
+    for seed in np.flatnonzero(held_out).tolist():
+        assert is_held_out(seed, 0.3)
     assert not is_held_out(3, 0.0)
     assert is_held_out(3, 1.0)
-
-
-def test_some_targets_only(dataset: Any) -> None:
-    items = OccupancyDataset(dataset.folder, targets=["lid"])
-    assert {key.target_name for key in items.keys} == {"lid"}
-    assert len(items) == 4
 
 
 def test_a_transform_draws_anew_each_epoch(dataset: Any) -> None:
@@ -119,7 +114,7 @@ def test_a_transform_draws_anew_each_epoch(dataset: Any) -> None:
 
 def test_loader_workers_read_the_same(dataset: Any) -> None:
     items = OccupancyDataset(dataset.folder, transform=Augmentation())
-    expected = [items[i] for i in range(10)]  # files are open here now
+    expected = [items[i]["input"] for i in range(10)]  # files are open here now
     loader = DataLoader(
         items,
         batch_size=5,
@@ -130,13 +125,9 @@ def test_loader_workers_read_the_same(dataset: Any) -> None:
     for epoch in (0, 1):
         items.set_epoch(epoch)
         batches = list(loader)
-        assert [b["input"].shape for b in batches] == [(5, 3, 24, 32)] * 2
-        found = torch.cat([b["input"] for b in batches])
-        same = [
-            torch.equal(e["input"], f)
-            for e, f in zip(expected, found, strict=True)
-        ]
-        assert all(same) if epoch == 0 else not any(same)
+        found = [image for b in batches for image in b["input"]]
+        same = list(map(torch.equal, expected, found))
+        assert same == [epoch == 0] * 10
         keys = [key for b in batches for key in b["key"]]
         assert keys == [str(s.key) for s in dataset.samples]
 
@@ -151,21 +142,9 @@ def test_few_files_stay_open(
         np.testing.assert_array_equal(
             items[index]["amodal"][0], expected[index]
         )
-        assert len(_open_files(dataset.folder)) <= 2
-
-
-def _open_files(folder: Any) -> list[str]:
-    if not os.path.isdir("/proc/self/fd"):
-        return []
-    links = []
-    for number in os.listdir("/proc/self/fd"):
-        try:
-            link = os.readlink(f"/proc/self/fd/{number}")
-        except OSError:
-            continue
-        if link.startswith(str(folder)):
-            links.append(link)
-    return links
+        paths = map(os.path.realpath, Path("/proc/self/fd").glob("*"))
+        opened = [p for p in paths if p.startswith(str(dataset.folder))]
+        assert len(opened) <= 2
 
 
 def test_a_damaged_image_is_named(own_dataset: Any) -> None:
@@ -184,6 +163,7 @@ def test_a_missing_shard_is_named(own_dataset: Any) -> None:
     assert len(OccupancyDataset(own_dataset.folder, incomplete=True)) == 9
 
 
+@pytest.mark.parametrize("incomplete", [False, True])
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
@@ -191,25 +171,18 @@ def test_a_missing_shard_is_named(own_dataset: Any) -> None:
         ({"split": "train"}, "belongs to split 'train'"),
         ({"index": 0}, "is number 0 of its split, renamed"),
         ({"format_version": 2}, "has format version 2"),
+        ({}, "has 3 samples instead of 1"),
     ],
 )
-@pytest.mark.parametrize("incomplete", [False, True])
 def test_a_shard_of_another_place_is_refused(
     own_dataset: Any, changes: Any, line: str, incomplete: bool
 ) -> None:
-    own_dataset.write_shard(
-        "test-00001.h5", own_dataset.samples[-1:], **changes
-    )
+    samples = own_dataset.samples[-1 if changes else -3 :]
+    own_dataset.write_shard("test-00001.h5", samples, **changes)
     OccupancyDataset(own_dataset.folder, split="train")
-    with pytest.raises(ForeignShardError, match=rf"test-00001\.h5 {line}"):
+    error = ForeignShardError if changes else ShardError
+    with pytest.raises(error, match=rf"test-00001\.h5 {line}"):
         OccupancyDataset(own_dataset.folder, incomplete=incomplete)
-
-
-def test_a_shard_of_another_size_is_refused(own_dataset: Any) -> None:
-    own_dataset.write_shard("test-00000.h5", own_dataset.samples[-3:])
-    with pytest.raises(ShardError, match="has 3 samples instead of 2"):
-        OccupancyDataset(own_dataset.folder)
-    assert not _open_files(own_dataset.folder)
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.utils.data import TensorDataset
 
+from tests.training.making import shard_of
 from xray_drake.training.config import TrainConfig, TrainingError
 from xray_drake.training.data import (
     PassSampler,
     PreparedItems,
     TrainingData,
-    steps_per_epoch,
 )
-from xray_drake.training.items import Item, pack
+from xray_drake.training.items import Item
 from xray_drake.training.prepare import Prepared
 
 TARGETS = ("lid", "flute", "virtual_box_60x30x5")
@@ -42,18 +42,10 @@ def shard(first: int, *rows: tuple[str, bool]) -> Prepared:
         first: of the first item.
         rows: each item's target, and whether it is held out.
     """
-    numbers = first + np.arange(len(rows))
-    packed = [pack(item(number)) for number in numbers.tolist()]
-    names = tuple(name for name, _ in rows)
-    return Prepared(
-        packed=np.frombuffer(b"".join(packed), np.uint8),
-        ends=np.cumsum([len(data) for data in packed]),
-        shape=(8, 12),
-        sizes=np.tile(numbers[:, None], 5).astype(np.float32),
-        real=np.array([not name.startswith("virtual_") for name in names]),
-        held_out=np.array([held_out for _, held_out in rows]),
-        targets=names,
-    )
+    numbers = range(first, first + len(rows))
+    names, held_out = zip(*rows, strict=True)
+    sizes = np.tile(np.array(numbers)[:, None], 5)
+    return shard_of([*map(item, numbers)], sizes, names, held_out)
 
 
 _row = st.tuples(st.sampled_from(TARGETS), st.booleans())
@@ -110,105 +102,55 @@ def test_an_item_is_its_images_its_size_and_whether_it_is_real() -> None:
         shard(20, ("virtual_box_60x30x5", False), ("flute", False)),
     ]
     items = PreparedItems(shards, held_out=False)
-    assert numbers(items) == [10, 20, 21]
-    for i, real in enumerate((True, False, True)):
+    for i, (number, real) in enumerate(((10, True), (20, False), (21, True))):
         *images, size, told = items[i]
-        number = numbers(items)[i]
         expected = item(number)
         for image, other in zip(
             images,
             (expected.fine, expected.coarse, expected.labels),
             strict=True,
         ):
-            assert image.dtype == torch.uint8
-            np.testing.assert_array_equal(image, other)
+            np.testing.assert_array_equal(image, other, strict=True)
+            image.zero_()  # a copy: nothing changes in the shard
         assert size.dtype == torch.float32
         assert size.tolist() == [number] * 5
         assert told.dtype == torch.bool
         assert bool(told) is real
-    # Copies: what is changed in a batch is not changed in the shard.
-    for image in items[0][:3]:
-        image.zero_()
-    fine, coarse, labels, *_ = items[0]
-    assert (fine[0] == 170).all()
-    assert (coarse == 10).all()
-    assert labels[0, 0, 0] == 10
+    assert numbers(items) == [10, 20, 21]
 
 
-def epochs(sampler: PassSampler, *numbers: int) -> list[int]:
-    drawn: list[int] = []
-    for number in numbers:
-        sampler.set_epoch(number)
-        part = list(sampler)
-        assert len(part) == len(sampler)
-        drawn += part
-    return drawn
-
-
-_sampler = {
-    "items": st.integers(1, 40),
-    "per_epoch": st.integers(1, 60),
-    "seed": st.integers(0, 99),
-}
-
-
-@given(**_sampler)
+@given(
+    items=st.integers(1, 40),
+    steps=st.integers(1, 20),
+    devices=st.integers(1, 3),
+    seed=st.integers(0, 99),
+)
 @settings(deadline=None, max_examples=100)
-def test_every_pass_has_every_item_once(
-    items: int, per_epoch: int, seed: int
+def test_in_every_pass_each_device_has_items_of_its_own(
+    items: int, steps: int, devices: int, seed: int
 ) -> None:
+    """Epochs are parts of passes; each sampler knows its epoch alone."""
+    per_epoch = steps * devices
     count = -(-3 * items // per_epoch)
-    drawn = epochs(PassSampler(items, per_epoch, seed), *range(count))
-    assert len(drawn) == count * per_epoch >= 3 * items
+    drawn: list[int] = []
+    for epoch in range(count):
+        shares = []
+        for rank in range(devices):
+            # What does not divide is the next epoch's.
+            sampler = PassSampler(
+                items, per_epoch, seed, rank=rank, devices=devices
+            )
+            sampler.set_epoch(epoch)
+            shares.append(list(sampler))
+            assert len(shares[-1]) == len(sampler) == steps
+        drawn += [item for step in zip(*shares, strict=True) for item in step]
     rest = iter(drawn)
     passes = [list(islice(rest, items)) for _ in range(3)]
     for one in passes:
         assert sorted(one) == list(range(items))
-
-
-@given(**_sampler, gone=st.integers(0, 9))
-@settings(deadline=None, max_examples=100)
-def test_a_resumed_sampler_goes_on_as_it_would_have_gone(
-    items: int, per_epoch: int, seed: int, gone: int
-) -> None:
-    whole = epochs(PassSampler(items, per_epoch, seed), *range(gone + 3))
-    resumed = PassSampler(items, per_epoch, seed)
-    rest = epochs(resumed, gone, gone + 1, gone + 2)
-    assert whole[gone * per_epoch :] == rest
-    # The same epoch is the same, whatever was before.
-    assert epochs(resumed, gone) == rest[:per_epoch]
-
-
-@given(**_sampler, devices=st.integers(1, 3))
-@settings(deadline=None, max_examples=50)
-def test_devices_share_an_epoch(
-    items: int, per_epoch: int, seed: int, devices: int
-) -> None:
-    for number in range(3):
-        whole = epochs(PassSampler(items, per_epoch, seed), number)
-        shares = [
-            epochs(
-                PassSampler(items, per_epoch, seed, rank=rank, devices=devices),
-                number,
-            )
-            for rank in range(devices)
-        ]
-        together = [item for step in zip(*shares, strict=True) for item in step]
-        assert together == whole[: len(together)]
-        assert len(whole) - len(together) < devices
-
-
-def test_passes_and_seeds_differ() -> None:
-    drawn = epochs(PassSampler(50, 50, 0), 0, 1)
-    assert drawn[:50] != drawn[50:]
-    assert drawn[:50] != epochs(PassSampler(50, 50, 1), 0)
-    assert drawn[:50] != list(range(50))
-
-
-def test_what_is_asked_for_may_be_nowhere() -> None:
-    shards = [shard(0, ("lid", False))]
-    assert len(PreparedItems(shards, held_out=True)) == 0
-    assert len(PreparedItems(shards, held_out=False, targets=["flute"])) == 0
+    assert items < 20 or passes[0] != passes[1] != sorted(passes[1])
+    other = PassSampler(items, per_epoch, seed + 1)
+    assert items < 20 or steps < 20 or list(other) != drawn[:per_epoch]
 
 
 @pytest.mark.parametrize(
@@ -309,17 +251,12 @@ def test_in_a_pass_the_trainers_devices_see_every_item_once(
         (24, 0, 1, "no sample is held out for validation, for 1 device:"),
         (24, 1, 2, "1 sample is held out for validation, for 2 devices:"),
         (1, 7, 2, "1 sample is to train on, for 2 devices:"),
+        (24, 7, 5, "items_per_epoch is 8: 5 devices need a batch of 2"),
     ],
 )
-def test_every_device_needs_an_item(
+def test_every_device_needs_an_item_and_a_batch(
     train: int, held_out: int, devices: int, words: str
 ) -> None:
     with pytest.raises(TrainingError, match=words):
-        counted(train, held_out, devices)
-
-
-def test_every_device_needs_a_batch() -> None:
-    config = TrainConfig(items_per_epoch=7, batch_size=2)
-    assert steps_per_epoch(config, 3) == 1
-    with pytest.raises(TrainingError, match="items_per_epoch is 7: 4 devices"):
-        steps_per_epoch(config, 4)
+        assert counted(train, held_out, devices).steps
+    assert counted(24, 7, 4).steps_per_epoch == 1

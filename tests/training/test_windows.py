@@ -6,11 +6,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.training.making import SMALL, shard_of
 from xray_drake.occupancy.learned.windowed import WindowedNet
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import PreparedItems
-from xray_drake.training.items import Item, pack
-from xray_drake.training.prepare import Prepared
+from xray_drake.training.items import Item
 from xray_drake.training.windows import (
     WindowBatch,
     WindowedTraining,
@@ -37,16 +37,14 @@ def _item(corner: tuple[int, int] | None, rng: np.random.Generator) -> Item:
 
 def _items(*corners: tuple[int, int] | None) -> PreparedItems:
     rng = np.random.default_rng(0)
-    packed = [pack(_item(corner, rng)) for corner in corners]
-    number = len(corners)
-    shard = Prepared(
-        packed=np.frombuffer(b"".join(packed), np.uint8),
-        ends=np.cumsum([len(data) for data in packed]),
-        shape=SHAPE,
-        sizes=np.tile(np.float32(FEATURES), (number, 1)),
-        real=np.arange(number) % 2 == 0,
-        held_out=np.zeros(number, bool),
-        targets=("lid",) * number,
+    names = [
+        "lid" if i % 2 == 0 else "virtual_box" for i in range(len(corners))
+    ]
+    shard = shard_of(
+        [_item(corner, rng) for corner in corners],
+        np.tile(FEATURES, (len(corners), 1)),
+        names,
+        [False] * len(corners),
     )
     return PreparedItems([shard], held_out=False)
 
@@ -54,39 +52,24 @@ def _items(*corners: tuple[int, int] | None) -> PreparedItems:
 def test_windows_are_of_what_is_seen() -> None:
     items = _items((98, 121), None, (3, 250), None, (82, 93))
     windows = WindowItems(items)
-    assert len(windows) == 3
-    assert windows.num_real == 3
+    assert len(windows) == windows.num_real == 3
     assert windows.sides == [(64, 64)] * 3
-    for i, index in enumerate((0, 2, 4)):
+    places = {0: (68, 92), 2: (0, 192), 4: (52, 64)}
+    for i, (index, (top, left)) in enumerate(places.items()):
         fine, coarse, labels, size, real, outside = windows[i]
         all_fine, all_coarse, all_labels, told, _ = items[index]
         assert bool(real)
         torch.testing.assert_close(size, told)
         # All of what is seen, in the middle unless the image ends.
         assert fine[1].sum() == all_fine[1].sum()
-        (top, left) = _place(fine[0].numpy(), all_fine[0].numpy())
-        assert (top, left) == [(68, 92), (0, 192), (52, 64)][i]
         part = slice(top, top + 64), slice(left, left + 64)
         assert torch.equal(fine, all_fine[:, *part])
         assert torch.equal(labels, all_labels[:, *part])
-        quarter = (
-            slice(top // 4, top // 4 + 16),
-            slice(left // 4, left // 4 + 16),
-        )
+        quarter = [slice(s.start // 4, s.stop // 4) for s in part]
         assert torch.equal(coarse, all_coarse[:, *quarter])
         inside = int((labels[0] > 25.5).sum())
         assert outside[0] + inside == (all_labels[0] > 25.5).sum()
         assert outside.sum() == SHAPE[0] * SHAPE[1] - 64 * 64
-
-
-def _place(part: np.ndarray, image: np.ndarray) -> tuple[int, int]:
-    """Where a part with noise in it is in the image."""
-    height, width = part.shape
-    for top in range(image.shape[0] - height + 1):
-        for left in range(image.shape[1] - width + 1):
-            if np.array_equal(image[top, left : left + width], part[0]):
-                return top, left
-    raise AssertionError("no such part")
 
 
 _sides = st.lists(
@@ -94,6 +77,20 @@ _sides = st.lists(
     min_size=3,
     max_size=40,
 )
+
+
+def _epoch(
+    sides: list[tuple[int, int]], config: TrainConfig, devices: int, epoch: int
+) -> list[tuple[list[int], ...]]:
+    """Returns the batches of each step, one of each device."""
+    ranks = []
+    for rank in range(devices):
+        sampler = WindowSampler(sides, config, rank=rank, devices=devices)
+        sampler.set_epoch(epoch)
+        ranks.append(list(sampler))
+        assert len(ranks[-1]) == len(sampler)
+        assert ranks[-1] == list(sampler)
+    return list(zip(*ranks, strict=True))
 
 
 @settings(deadline=None, max_examples=50)
@@ -107,17 +104,11 @@ def test_batches_are_of_one_size_and_shared_out(
     sides: list[tuple[int, int]], devices: int, epoch: int, seed: int
 ) -> None:
     config = TrainConfig(items_per_epoch=16, batch_size=2, seed=seed)
-    batches = []
-    for rank in range(devices):
-        sampler = WindowSampler(sides, config, rank=rank, devices=devices)
-        sampler.set_epoch(epoch)
-        batches.append(list(sampler))
-        assert len(batches[-1]) == len(sampler) == 8 // devices
-        assert batches[-1] == list(sampler)
-    for together in zip(*batches, strict=True):
-        of_all = [index for batch in together for index in batch]
+    steps = _epoch(sides, config, devices, epoch)
+    assert len(steps) == 8 // devices
+    for together in steps:
         assert all(len(batch) == 2 for batch in together)
-        assert len({sides[index] for index in of_all}) == 1
+        assert len({sides[index] for index in chain(*together)}) == 1
 
 
 @settings(deadline=None, max_examples=30)
@@ -127,35 +118,23 @@ def test_a_pass_has_windows_of_rare_sizes_as_well(
 ) -> None:
     """Epochs end anywhere in a pass."""
     config = TrainConfig(items_per_epoch=16, batch_size=4, seed=seed)
-    drawn: list[list[int]] = []  # of each step, on all devices
-    for epoch in range(12):
-        ranks = []
-        for rank in range(devices):
-            sampler = WindowSampler(sides, config, rank=rank, devices=devices)
-            sampler.set_epoch(epoch)
-            ranks.append(list(sampler))
-        drawn += [[*chain(*step)] for step in zip(*ranks, strict=True)]
-    steps = sampler.steps_per_pass
+    drawn = [
+        [*chain(*together)]  # of a step, on all devices
+        for epoch in range(12)
+        for together in _epoch(sides, config, devices, epoch)
+    ]
+    steps = WindowSampler(sides, config, devices=devices).steps_per_pass
     assert len(drawn) >= steps
+    passes = []
     for begin in range(0, len(drawn) - steps + 1, steps):
         one = [*chain(*drawn[begin : begin + steps])]
+        passes.append(one)
         assert set(one) == set(range(len(sides)))
         # None twice, but to give all devices as many, two at least.
         most = 3 * (2 * devices - 1)  # of three sizes
         assert len(one) <= len(sides) + most
-
-
-def test_every_pass_has_every_window_about_once() -> None:
-    sides = [(96, 96)] * 40 + [(128, 128)] * 24
-    config = TrainConfig(items_per_epoch=64, batch_size=4)
-    sampler = WindowSampler(sides, config)
-    orders = []
-    for epoch in range(3):
-        sampler.set_epoch(epoch)
-        order = [index for batch in sampler for index in batch]
-        assert sorted(order) == list(range(64))
-        orders.append(order)
-    assert all(one != other for one, other in pairwise(orders))
+    if len(sides) > 20:
+        assert all(one != other for one, other in pairwise(passes))
 
 
 def _batch(side: int = 96, batch: int = 4) -> WindowBatch:
@@ -179,9 +158,8 @@ def _batch(side: int = 96, batch: int = 4) -> WindowBatch:
 
 def _training(steps: int, **change: float) -> WindowedTraining:
     torch.manual_seed(0)
-    small = {"widths": (8, 8, 8, 8), "depths": (1, 1, 1, 1)}
     config = TrainConfig(**change)  # type: ignore[arg-type]
-    training = WindowedTraining(WindowedNet(small, small), config, steps)
+    training = WindowedTraining(WindowedNet(SMALL, SMALL), config, steps)
     training.log_dict = lambda *_, **__: None  # type: ignore[method-assign]
     return training
 
