@@ -8,15 +8,13 @@ from tests.gripper.cells import (
     controller_alone,
     make_gripper,
     take,
-    take_brick,
 )
-from tests.gripper.test_contact import Script, assert_it_goes_down_and_home
 from tests.poses import at, downwards
 from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
-from xray_drake.messages import GraspKind, Outcome
+from xray_drake.messages import GraspKind
 from xray_drake.scene.plant import TOTE_POSITION
 
 
@@ -155,10 +153,3 @@ def test_two_contexts_of_one_controller_take_turns(gripper):
     turns = [[desired(one, time) for one in both] for time in times]
     np.testing.assert_array_equal(np.swapaxes(turns, 0, 1), singly)
     assert not np.array_equal(singly[0], singly[1])
-
-
-def test_a_grasp_from_start_to_end(gripper):
-    script = Script(gripper)
-    status = script.run(take_brick())
-    assert (status.outcome, status.reason) == (Outcome.LIFTED, "")
-    assert_it_goes_down_and_home(script)

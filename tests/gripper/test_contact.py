@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.gripper.cells import make_gripper, take_brick
+from tests.poses import at
 from xray_drake.gripper.actuation.contact import (
     ContactActuation,
     ExecutionConfig,
@@ -23,14 +24,12 @@ CONFIG = ExecutionConfig()
 WIDTH = 0.03
 
 DESCEND, CLOSE = Step.DESCEND, Step.CLOSE
-ON_AND_UP = [Phase.APPROACH, DESCEND, CLOSE, Phase.LIFT, Phase.CHECK]
-TO_THE_TOTE = [Phase.CARRY, Phase.LOWER, Phase.RELEASE]
 WHOLE_WAY = [
-    *ON_AND_UP,
-    *TO_THE_TOTE,
-    Phase.HOME,
-    Phase.SETTLE,
-    Phase.IDLE,
+    Phase.APPROACH,
+    DESCEND,
+    CLOSE,
+    *(Phase.LIFT, Phase.CHECK, Phase.CARRY, Phase.LOWER, Phase.RELEASE),
+    *(Phase.HOME, Phase.SETTLE, Phase.IDLE),
 ]
 
 
@@ -124,16 +123,6 @@ class Script:
         return self.gripper.carrier.pose(joints) @ X_BG
 
 
-def assert_it_goes_down_and_home(script):
-    """A jaw closes a little below the grasp: nothing is touched before."""
-    assert script.stages == WHOLE_WAY
-    lowest = np.array(take_brick().grasp.X_WG)
-    lowest[2, 3] -= CONFIG.jaw_overtravel
-    np.testing.assert_allclose(script.tool(CLOSE), lowest, atol=1e-5)
-    home = script.gripper.carrier.home
-    np.testing.assert_allclose(script.way[-1][3], home, atol=1e-6)
-
-
 def test_nothing_happens_without_a_command(gripper):
     script = Script(gripper)
     for _ in range(20):
@@ -152,12 +141,17 @@ def whole(gripper):
 
 
 def test_a_jaw_grasp_from_start_to_end(whole):
-    assert_it_goes_down_and_home(whole)
+    """It closes a little below the grasp: nothing is touched before."""
+    assert whole.stages == WHOLE_WAY
     assert whole.time < 15.0
+    lowest = at(0, 0, -CONFIG.jaw_overtravel) @ take_brick().grasp.X_WG
+    np.testing.assert_allclose(whole.tool(CLOSE), lowest, atol=1e-6)
     over = whole.tool(Phase.CARRY)[:2, 3] - TOTE_POSITION[:2]
     assert np.all(np.abs(over) <= 0.1 + 1e-6)
     down = whole.tool(Phase.LOWER)
     assert down[2, 3] == pytest.approx(0.02 + CONFIG.release_height)
+    home = whole.gripper.carrier.home
+    np.testing.assert_allclose(whole.way[-1][3], home, atol=1e-6)
 
 
 def test_a_suction_grasp_from_start_to_end(gripper):

@@ -221,6 +221,7 @@ def test_it_lifts_what_the_vacuum_can_hold(mass):
     assert cell.height("plate") - start == pytest.approx(0.1 - sag, abs=5e-4)
     assert cell.state.wrench[5] == pytest.approx(9.81 * mass, rel=0.02)
     assert cell.state.load == pytest.approx(9.81 * mass / 14.0, rel=0.05)
+    assert cell.plant.CalcKineticEnergy(cell.plant_context) < 1e-5
 
 
 @pytest.mark.parametrize("sampled_ports", [True, False])
@@ -234,15 +235,6 @@ def test_the_force_that_acts_is_the_one_that_it_says(sampled_ports):
     np.testing.assert_allclose(acted, said, atol=1e-4)
 
 
-def test_it_drops_what_is_too_heavy():
-    cell = Cell(plate(1.6))  # 15.7 N
-    start = cell.height("plate")
-    cell.move(UP, 0.8)
-    assert cell.state.object == ""
-    assert cell.state.lost == "it is pulled off"
-    assert cell.height("plate") == pytest.approx(start, abs=1e-3)
-
-
 @pytest.mark.parametrize(("mass", "holds"), [(0.5, True), (0.9, False)])
 def test_it_breaks_away_where_friction_cannot_hold(mass, holds):
     """Turned by 90° it goes through √5 m g, which 0.64 kg bring to V."""
@@ -253,14 +245,3 @@ def test_it_breaks_away_where_friction_cannot_hold(mass, holds):
     cell.move(np.array([0, 0, 0.1, 0, -np.pi / 2, 0]), 1.0)
     assert (cell.state.object == "plate") == holds
     assert bool(cell.state.lost) != holds
-
-
-def test_held_still_it_comes_to_rest():
-    cell = Cell(plate(0.05))
-    cell.move(UP, 0.4)
-    energy = []
-    for _ in range(6):
-        cell.advance(0.05)
-        energy.append(cell.plant.CalcKineticEnergy(cell.plant_context))
-    assert max(energy) < 1e-5
-    assert energy[-1] <= energy[0]
