@@ -5,7 +5,6 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
-    finger_position,
     load_gripper_geometry,
 )
 from xray_drake.resources import models_dir
@@ -43,21 +42,6 @@ def test_published_figures(plant):
         assert actuator.effort_limit() == GripperParameters().force
         np.testing.assert_allclose(joint.position_lower_limits(), 0.0)
         np.testing.assert_allclose(joint.position_upper_limits(), 0.025)
-
-
-@pytest.mark.parametrize("opening", [0.0, 0.02, 0.05])
-def test_opening_and_joint_positions(plant, opening):
-    context = plant.CreateDefaultContext()
-    if opening < 0.05:
-        for name in FINGERS:
-            plant.GetJointByName(f"{name}_joint").set_translation(
-                context, finger_position(opening)
-            )
-    y = [
-        plant.GetBodyByName(name).EvalPoseInWorld(context).translation()[1]
-        for name in FINGERS
-    ]
-    assert y[0] - y[1] - 0.008 == pytest.approx(opening)
 
 
 def test_boxes_and_frames():

@@ -6,13 +6,12 @@ from hypothesis import strategies as st
 
 from tests.poses import at, downwards
 from xray_drake.grasping.evidence.sampling import (
-    cast_rays,
     sample_antipodal,
     sample_suction,
     seal_cups,
 )
 from xray_drake.grasping.judgement import Lip
-from xray_drake.grasping.seal import RING_POINTS, frame_from_z, ring_offsets
+from xray_drake.grasping.seal import RING_POINTS
 
 FRICTION = 0.5
 LIP = Lip(0.015, 0.001, np.deg2rad(15.0))
@@ -143,23 +142,3 @@ def test_a_tilted_cup_finds_the_plane_it_meets():
     assert seal.nearest[0] == pytest.approx(
         middle - 0.015 * np.tan(angle), abs=1e-6
     )
-
-
-def test_rays_that_miss_say_so():
-    mesh = trimesh.creation.box([0.02, 0.02, 0.02])
-    origins = np.array([[0, 0, 0.05], [0.05, 0, 0.05]])
-    distance, face = cast_rays(mesh, origins, np.array([[0, 0, -1.0]] * 2))
-    np.testing.assert_allclose(distance, [0.04, np.inf], atol=1e-9)
-    assert (face >= 0).tolist() == [True, False]
-
-
-def test_frames_and_rings():
-    z = np.random.default_rng(0).normal(size=(50, 3))
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    R = frame_from_z(z)
-    np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    np.testing.assert_allclose(R[..., 2], z)
-    unit = np.broadcast_to(np.eye(3), R.shape)
-    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), unit, atol=1e-12)
-    lip = ring_offsets(0.015)[:RING_POINTS]
-    np.testing.assert_allclose(np.linalg.norm(lip, axis=1), 0.015)

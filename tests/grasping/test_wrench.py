@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.wrench import (
     PadContact,
     holding_quality,
@@ -91,14 +92,6 @@ def test_more_friction_never_holds_less(seed):
     assert held == sorted(held)
 
 
-CUP = {
-    "friction": 0.5,
-    "vacuum_force": 14.0,
-    "cup_radius": 0.015,
-    "elasticity": 2.2,
-}
-
-
 ALONG = [0, 0, 1]
 BEND = np.pi * 0.015 * 2.2 / np.sqrt(2)
 CUPS = [
@@ -115,7 +108,7 @@ CUPS = [
 def test_what_limits_cups():
     """Each for itself, judged at once."""
     levers, gravities, expected = zip(*CUPS, strict=True)
-    held = suction_holding_force(levers, gravities, **CUP)
+    held = suction_holding_force(levers, gravities, GripperParameters(), 0.5)
     np.testing.assert_allclose(held, expected)
 
 

@@ -55,23 +55,10 @@ def test_pads_meet_the_hard_surfaces_and_nothing_else_does(scene):
     """The jaw about the first object, a finger well into it, and the second
     into it and the floor; then the jaw on the floor."""
     touching = scene.touching((0.0, 0.005, 0.01), 0.0, 0.03)
-    assert {pair for pair in touching if GRIP in pair} == {
-        frozenset({PAD, GRIP})
-    }
+    assert [pair for pair in touching if GRIP in pair] == [{PAD, GRIP}]
     assert frozenset({PAD, "piece"}) not in touching
     # Objects meet each other, the floor and the fingers as ever.
     for other in ("piece", "floor", "finger"):
         assert frozenset({"piece", other}) in touching
     touching = scene.touching((0.1, 0.1, 0.001), -0.1, -0.2)
     assert frozenset({PAD, "floor"}) in touching
-
-
-def test_each_piece_has_a_hard_copy(scene):
-    inspector = scene.scene_graph.model_inspector()
-    for item in scene.items.values():
-        names = [
-            inspector.GetName(geometry).split("::")[-1]
-            for geometry in scene.plant.GetCollisionGeometriesForBody(item.body)
-        ]
-        assert len(names) == 2 * len(item.model.pieces)
-        assert sum(name.startswith(GRIP) for name in names) == 2

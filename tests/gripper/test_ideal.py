@@ -175,20 +175,19 @@ def test_the_judge_sees_the_heap_and_a_perturbed_grasp():
 
 def test_perturbations_follow_the_seed_and_the_number():
     first, same, other = Judge(), Judge(), Judge()
-    lifting(first)
-    lifting(same)
-    lifting(other, seed=1)
-    np.testing.assert_array_equal(first.asked[0][1], same.asked[0][1])
-    assert first.asked[0][2] == same.asked[0][2]
-    assert first.asked[0][2] != other.asked[0][2]
-
+    for judge, seed in ((first, 0), (same, 0), (other, 1)):
+        lifting(judge, seed=seed)
     judge = Judge(0.0, "slippery")
     gripper = alone(judge, SearchAction())
     for number in (1, 2):
         gripper.fix("action", take("brick", number))
         gripper.advance_to(number * 1.5)
-    np.testing.assert_array_equal(judge.asked[0][1], first.asked[0][1])
-    assert judge.asked[0][2] != judge.asked[1][2]
+    (_, X_WG, friction), (_, _, of_the_next) = judge.asked
+    for _, X, mu in (*first.asked, *same.asked):
+        np.testing.assert_array_equal(X, X_WG)
+        assert mu == friction
+    assert friction != other.asked[0][2]
+    assert friction != of_the_next
 
 
 def test_a_judged_failure_moves_nothing_and_says_why():

@@ -78,7 +78,7 @@ def test_a_straight_motion_keeps_to_its_speed(distance, speed, seed):
     start = pose(rng)
     direction = rng.normal(size=3)
     to = start[:3, 3] + distance * direction / np.linalg.norm(direction)
-    segment = straight(start, to, 1.0, speed=speed, shortest=0.2)
+    segment = straight(start, to, 1.0, speed=speed)
     np.testing.assert_allclose(segment.end[:3, 3], to)
     np.testing.assert_array_equal(segment.end[:3, :3], start[:3, :3])
     assert segment.duration >= 0.2

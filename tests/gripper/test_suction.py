@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.poses import at
+from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.wrench import suction_holding_force
 from xray_drake.gripper.suction import (
     Cup,
@@ -84,16 +85,8 @@ def test_what_planning_promises_is_held(lever, gravity):
     assume(np.linalg.norm(gravity) > 0.1)
     gravity = gravity / np.linalg.norm(gravity)
     lever = 0.05 * lever
-    weight = float(
-        suction_holding_force(
-            lever,
-            gravity,
-            friction=CUP.friction,
-            vacuum_force=CUP.vacuum_force,
-            cup_radius=CUP.radius,
-            elasticity=CUP.elasticity,
-        )
-    )
+    p = CUP.parameters
+    weight = float(suction_holding_force(lever, gravity, p, p.friction))
     # The cup answers the weight; z goes into the object, so it pulls by −z.
     held = -weight * np.concatenate([np.cross(lever, gravity), gravity])
     assert CUP.load(held) <= 1.0 + 1e-9
@@ -250,7 +243,8 @@ def test_an_open_cup():
 
 
 def test_stiffness_comes_from_the_bellows():
-    soft = Cup(bellows_travel=0.008, config=SuctionConfig(damping_time=0.02))
+    parameters = GripperParameters(bellows_travel=0.008)
+    soft = Cup(parameters, SuctionConfig(damping_time=0.02))
     np.testing.assert_allclose(soft.stiffness, 0.5 * CUP.stiffness)
     np.testing.assert_allclose(soft.damping, CUP.damping)
     assert CUP.stiffness[5] * 2 * 0.004 == pytest.approx(14.0)

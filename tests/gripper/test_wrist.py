@@ -80,11 +80,13 @@ legs = st.lists(
 @settings(max_examples=50)
 @given(points, legs, st.floats(0, 100))
 def test_it_goes_along_its_legs_within_the_limits(start, legs, begin):
-    path = FAST.path(start, legs, begin)
-    np.testing.assert_allclose(path.sample(begin)[0], start, atol=1e-9)
-    np.testing.assert_allclose(path.end, legs[-1].end, atol=1e-9)
-    for time in (begin, path.end_time):
-        np.testing.assert_allclose(path.sample(time)[1], 0, atol=1e-6)
+    path, end = FAST.path(start, legs, begin), legs[-1].end
+    np.testing.assert_allclose(path.end, end, atol=1e-9)
+    times = begin - 1.0, begin, path.end_time, path.end_time + 99.0
+    for time, there in zip(times, (start, start, end, end), strict=True):
+        q, v = path.sample(time)
+        np.testing.assert_allclose(q, there, atol=1e-9)
+        np.testing.assert_allclose(v, 0, atol=1e-6)
     bends = path.trajectory.MakeDerivative(2)
     for time in np.linspace(begin, path.end_time, 60):
         _, v = path.sample(time)
@@ -115,13 +117,8 @@ def test_the_limits_are_used():
     assert fastest == pytest.approx(4.0, rel=0.01)
 
 
-def test_it_stays_before_and_after():
-    start, end = np.zeros(6), np.full(6, 0.1)
-    path = FAST.path(start, [Leg(end)], 1.0)
-    for time, there in ((0.0, start), (99.0, end)):
-        q, v = path.sample(time)
-        np.testing.assert_allclose(q, there, atol=1e-12)
-        np.testing.assert_allclose(v, 0, atol=1e-9)
+def test_it_stays_for_a_time():
+    end = np.full(6, 0.1)
     path = stay(end, 1.0, 0.5)
     assert path.end_time == pytest.approx(1.5)
     np.testing.assert_allclose(path.sample(1.2)[0], end)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import Box, Cylinder, SceneGraphInspector, Shape
@@ -11,6 +12,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.configuration import number
+from xray_drake.messages import GraspKind
 from xray_drake.resources import models_dir
 
 FINGER_TRAVEL = 0.025
@@ -98,34 +100,56 @@ class GripperGeometry:
         motion = np.outer(self.closing, [0.0, 1.0, 0.0])
         return travel[..., None, None] * motion
 
-    def swept_jaw(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns (n, 3) corners of the open jaw swept along its approach.
+    def approach(
+        self, kind: GraspKind, distance: float, standoff: float
+    ) -> "ApproachingTool":
+        """Returns the boxes of a gripper that comes straight.
+
+        They are swept along the approach: of the open jaw along z, or of the
+        gripper closed and the cup ahead along x.
 
         Args:
-            distance: length of the approach, along z, m.
-        """
-        return self.lower - [0.0, 0.0, distance], self.upper
-
-    def swept_suction(
-        self, distance: float, standoff: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Returns (n, 3) corners of the closed gripper swept along the cup's.
-
-        Args:
-            distance: length of the approach, along x, m.
+            kind: jaw or suction.
+            distance: length of the approach, m.
             standoff: the cup is cut off this far before its lip, m.
         """
+        boxes = len(self.lower)
+        if kind is GraspKind.JAW:
+            return ApproachingTool(
+                self.X_BJ,
+                self.lower - [0.0, 0.0, distance],
+                self.upper,
+                self.closing,
+                np.zeros(boxes, bool),
+            )
         shut = self.closing_shift(0.0)
         end = [self.X_BC[0, 3] - standoff, np.inf, np.inf]
-        return (
+        return ApproachingTool(
+            self.X_BC,
             self.lower + shut - [distance, 0.0, 0.0],
             np.minimum(self.upper + shut, end),
+            np.zeros(boxes),
+            self.round,
         )
 
 
-def finger_position(opening: float) -> float:
-    """Returns the position of each finger joint for an opening, both in m."""
-    return FINGER_TRAVEL - 0.5 * opening
+class ApproachingTool(NamedTuple):
+    """Boxes of a gripper that comes straight, in B.
+
+    Attributes:
+        X_BG: 4×4 pose of the frame that grasps, m.
+        lower: (n, 3) lower corners, m.
+        upper: (n, 3) upper corners, m.
+        closing: (n,) as those of the geometry; 0 where the jaw stays closed.
+        round: (n,) whether the cylinder in the box is meant: along the
+            approach; across it the box stands in.
+    """
+
+    X_BG: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    closing: np.ndarray
+    round: np.ndarray
 
 
 def _half_size(shape: Shape) -> np.ndarray:

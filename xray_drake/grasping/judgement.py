@@ -163,10 +163,8 @@ class GripperModel:
         return suction_holding_force(
             np.einsum("nji,nj->ni", R_WC, lever),
             np.einsum("nji,j->ni", R_WC, DOWN),
-            friction=friction,
-            vacuum_force=self.parameters.vacuum_force,
-            cup_radius=self.parameters.cup_radius,
-            elasticity=self.parameters.cup_elasticity,
+            self.parameters,
+            friction,
         )
 
     def floor_retreat(

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
+from xray_drake.grasping.gripper_geometry import GripperParameters
+
 CONE_EDGES = 8
 """Edges of the linearised friction cone."""
 
@@ -127,11 +129,8 @@ def jaw_holding_force(
 def suction_holding_force(
     lever: np.ndarray,
     gravity: np.ndarray,
-    *,
+    parameters: GripperParameters,
     friction: np.ndarray | float,
-    vacuum_force: float,
-    cup_radius: float,
-    elasticity: float,
 ) -> np.ndarray:
     """Returns the largest weight that a sealed cup can hold, N; 0 for none.
 
@@ -149,10 +148,8 @@ def suction_holding_force(
         lever: (..., 3) centre of mass minus centre of the lip, in the contact
             frame (z along the approach, into the object), m.
         gravity: (..., 3) unit direction of the weight in the contact frame.
+        parameters: of the gripper: V, r and κ.
         friction: (...) Coulomb coefficient μ.
-        vacuum_force: V, N.
-        cup_radius: r, m.
-        elasticity: κ, N.
 
     Returns:
         (...) array.
@@ -163,15 +160,16 @@ def suction_holding_force(
     torque = np.abs(np.cross(lever, gravity))
     sliding = np.abs(gravity)
     root2, root3 = np.sqrt(2.0), np.sqrt(3.0)
-    grip = friction * vacuum_force
+    vacuum_force, r = parameters.vacuum_force, parameters.cup_radius
+    grip, lip = friction * vacuum_force, np.pi * r * parameters.cup_elasticity
     need = np.stack(
         [
             pull / vacuum_force,
             (root3 * sliding[..., 0] + friction * pull) / grip,
             (root3 * sliding[..., 1] + friction * pull) / grip,
-            (root3 * torque[..., 2] / cup_radius + friction * pull) / grip,
-            root2 * torque[..., 0] / (np.pi * cup_radius * elasticity),
-            root2 * torque[..., 1] / (np.pi * cup_radius * elasticity),
+            (root3 * torque[..., 2] / r + friction * pull) / grip,
+            root2 * torque[..., 0] / lip,
+            root2 * torque[..., 1] / lip,
         ],
         axis=-1,
     ).max(axis=-1)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from pydrake.math import RotationMatrix
@@ -10,20 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from xray_drake.messages import Message
 
-_T = TypeVar("_T", float, np.ndarray)
-
-
-def quintic(s: _T) -> tuple[_T, _T, _T]:
-    """Returns 10 s³ − 15 s⁴ + 6 s⁵ and its first two derivatives.
-
-    It goes from 0 to 1 as s does, and begins and ends at rest; rounding can
-    bring it a little beyond.
-    """
-    return (
-        s**3 * (10 - 15 * s + 6 * s**2),
-        30 * s**2 * (1 - s) ** 2,
-        60 * s * (1 - s) * (1 - 2 * s),
-    )
+_SHORTEST = 0.2
+"""No motion takes less time, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +48,9 @@ class Segment(Message):
             segment by force keeps its orientation.
         """
         s = min(max((time - self.begin) / self.duration, 0.0), 1.0)
-        way, speed, bend = quintic(s)
-        way = min(way, 1.0)
-        speed, bend = speed / self.duration, bend / self.duration**2
+        way = min(s**3 * (10 - 15 * s + 6 * s**2), 1.0)  # rounding
+        speed = 30 * s**2 * (1 - s) ** 2 / self.duration
+        bend = 60 * s * (1 - s) * (1 - 2 * s) / self.duration**2
         step = self.end[:3, 3] - self.start[:3, 3]
         pose = np.array(self.start)
         pose[:3, 3] += way * step
@@ -88,7 +75,6 @@ def straight(
     begin: float,
     *,
     speed: float,
-    shortest: float = 0.2,
 ) -> Segment:
     """Returns a translation to a point.
 
@@ -97,12 +83,11 @@ def straight(
         to: (3,) point that the origin goes to, m.
         begin: s.
         speed: highest speed on the way, m/s.
-        shortest: least duration, s.
     """
     end = np.array(start)
     end[:3, 3] = to
     distance = float(np.linalg.norm(end[:3, 3] - start[:3, 3]))
-    return Segment(start, end, begin, max(1.875 * distance / speed, shortest))
+    return Segment(start, end, begin, max(1.875 * distance / speed, _SHORTEST))
 
 
 @dataclass(frozen=True)

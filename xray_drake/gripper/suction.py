@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from xray_drake.configuration import number
+from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.messages import Message
 
 
@@ -35,19 +36,11 @@ class Cup:
     vector (rad) over translation (m).
 
     Attributes:
-        radius: of the lip, m.
-        vacuum_force: largest pull of the vacuum V, N.
-        friction: Coulomb coefficient μ of the lip.
-        elasticity: κ of the lip in Dex-Net 3.0's model, N.
-        bellows_travel: what the bellows takes up, either way, m.
+        parameters: what planning knows of it, too.
         config: the rest.
     """
 
-    radius: float = 0.015
-    vacuum_force: float = 14.0
-    friction: float = 0.5
-    elasticity: float = 2.2
-    bellows_travel: float = 0.004
+    parameters: GripperParameters = field(default_factory=GripperParameters)
     config: SuctionConfig = field(default_factory=SuctionConfig)
 
     @property
@@ -58,8 +51,9 @@ class Cup:
         sideways it is as stiff. A ring of springs of that stiffness k in all
         resists a tilt by k r²/2 and a twist by k r².
         """
-        k = self.vacuum_force / (2 * self.bellows_travel)
-        tilt = 0.5 * k * self.radius**2
+        p = self.parameters
+        k = p.vacuum_force / (2 * p.bellows_travel)
+        tilt = 0.5 * k * p.cup_radius**2
         return np.array([tilt, tilt, 2 * tilt, k, k, k])
 
     @property
@@ -84,16 +78,16 @@ class Cup:
             wrench: (6,).
             vacuum: reached by now, as a share of ``vacuum_force``.
         """
-        torque, force = wrench[:3], wrench[3:]
-        slide = np.hypot(np.hypot(force[0], force[1]), torque[2] / self.radius)
-        grip = slide / self.friction - force[2]
+        torque, force, p = wrench[:3], wrench[3:], self.parameters
+        slide = np.hypot(np.hypot(force[0], force[1]), torque[2] / p.cup_radius)
+        grip = slide / p.friction - force[2]
         bend = np.hypot(torque[0], torque[1])
-        bend /= np.pi * self.radius * self.elasticity
+        bend /= np.pi * p.cup_radius * p.cup_elasticity
         if grip <= 0.0:
             return float(bend)
         if vacuum <= 0.0:
             return float("inf")
-        return float(max(grip / (vacuum * self.vacuum_force), bend))
+        return float(max(grip / (vacuum * p.vacuum_force), bend))
 
 
 def point_mobility(

@@ -205,14 +205,18 @@ class SuctionCup(CollectableLeafSystem):
             X_OW = poses[self._bodies[name]].inverse().GetAsMatrix4()
             X_OC = X_OW @ X_WC
             low, high = model.visual.bounds
-            room = self._cup.radius + _BEHIND
+            room = self._cup.parameters.cup_radius + _BEHIND
             if ((X_OC[:3, 3] > low - room) & (X_OC[:3, 3] < high + room)).all():
                 near[name] = X_OC
         for name, X_OC in near.items():
             seal = seal_cups(
                 self._models[name].visual,
                 X_OC[None],
-                Lip(self._cup.radius, self._tolerance, self._angle),
+                Lip(
+                    self._cup.parameters.cup_radius,
+                    self._tolerance,
+                    self._angle,
+                ),
                 reach=_BEHIND,
             )
             nearest = float(seal.nearest[0])
@@ -220,7 +224,7 @@ class SuctionCup(CollectableLeafSystem):
             if (
                 seal.closed[0]
                 and farthest <= self._cup.config.reach
-                and nearest >= -2 * self._cup.bellows_travel
+                and nearest >= -2 * self._cup.parameters.bellows_travel
                 and not self._covered(near, name, farthest)
             ):
                 return replace(CupState(drawing=True), object=name, X_OC=X_OC)
@@ -236,7 +240,7 @@ class SuctionCup(CollectableLeafSystem):
             name: what the cup would seal on.
             depth: how far from the lip's plane that is, m.
         """
-        offsets = ring_offsets(self._cup.radius)
+        offsets = ring_offsets(self._cup.parameters.cup_radius)
         rays = np.column_stack([offsets, np.full(len(offsets), -_BEHIND)])
         for other, X_OC in near.items():
             if other == name:

@@ -134,14 +134,7 @@ def _contact(
             bodies=bodies,
             gripper=int(gripper.base.index()),
             X_BC=gripper.X_BC,
-            cup=Cup(
-                radius=parameters.cup_radius,
-                vacuum_force=parameters.vacuum_force,
-                friction=parameters.friction,
-                elasticity=parameters.cup_elasticity,
-                bellows_travel=parameters.bellows_travel,
-                config=config.suction,
-            ),
+            cup=Cup(parameters, config.suction),
             time_step=time_step,
         )
     )

@@ -16,8 +16,11 @@ _END_LENGTH = 0.02
 """What is so far from the foremost point is the end of the gripper, m."""
 
 
-def _box_points(
-    lower: np.ndarray, upper: np.ndarray, spacing: float, back: int
+def box_points(
+    lower: np.ndarray,
+    upper: np.ndarray,
+    spacing: float,
+    back: int | None = None,
 ) -> np.ndarray:
     """Returns (n, 3) points on a box but for its lower face of one axis."""
     axes = [
@@ -26,7 +29,8 @@ def _box_points(
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     at_lower, at_upper = np.isclose(grid, lower), np.isclose(grid, upper)
-    at_lower[:, back] = False
+    if back is not None:
+        at_lower[:, back] = False
     return grid[(at_lower | at_upper).any(axis=1)]
 
 
@@ -87,17 +91,11 @@ class ApproachShape:
             approach_distance: length of the approach, m.
             cup_standoff: the cup ends this far before its lip, m.
         """
-        jaw = kind is GraspKind.JAW
-        lower, upper = (
-            gripper.swept_jaw(approach_distance)
-            if jaw
-            else gripper.swept_suction(approach_distance, cup_standoff)
+        X_BG, lower, upper, closing, round_ = gripper.approach(
+            kind, approach_distance, cup_standoff
         )
-        # As in GraspScene: stem and cup are round along their axis, and the
-        # jaw is closed where the cup comes.
-        round_ = gripper.round & (not jaw)
-        closing = gripper.closing * jaw
-        slender = closing != 0 if jaw else gripper.round
+        ahead = 2 if kind is GraspKind.JAW else 0
+        slender = (closing != 0) | round_
         shut = 0.5 * gripper.open_width * np.array([0.0, 1.0, 0.0])
 
         clouds, sides, fine = [], [], []
@@ -106,9 +104,7 @@ class ApproachShape:
             points = (
                 _tube_points(lower[i], upper[i], spacing)
                 if round_[i]
-                else _box_points(
-                    lower[i], upper[i], spacing, back=2 if jaw else 0
-                )
+                else box_points(lower[i], upper[i], spacing, back=ahead)
             )
             within = np.zeros(len(points), bool)
             for j in np.flatnonzero((closing == 0) & ~round_):
@@ -122,14 +118,14 @@ class ApproachShape:
             fine.append(np.full(len(clouds[-1]), slender[i]))
         cloud, side = np.concatenate(clouds), np.concatenate(sides)
         is_fine = np.concatenate(fine)
-        along = cloud[:, 2 if jaw else 0]
+        along = cloud[:, ahead]
         end = np.flatnonzero(is_fine & (along > along.max() - _END_LENGTH))
         self.parts = tuple(
             (cloud[part].astype(np.float32).T, side[part].astype(np.float32))
             for part in (end[::2], is_fine, ~is_fine)
         )
         self._open_width = gripper.open_width
-        self._X_GB = np.linalg.inv(gripper.X_BJ if jaw else gripper.X_BC)
+        self._X_GB = np.linalg.inv(X_BG)
 
     def transform(
         self, part: int, A: np.ndarray, X_WG: np.ndarray, opening: np.ndarray

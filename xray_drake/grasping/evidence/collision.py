@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,11 +23,16 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.grasping.gripper_geometry import GripperGeometry
+from xray_drake.grasping.evidence.approach_shape import box_points
+from xray_drake.grasping.gripper_geometry import (
+    ApproachingTool,
+    GripperGeometry,
+)
+from xray_drake.messages import GraspKind
 from xray_drake.resources import models_dir
 from xray_drake.scene.object_model import ObjectModel
 
-_POINT_SPACING = 0.025
+_POINT_SPACING = 0.0249
 """Of the points that stand for the bin, m."""
 
 _ALONG_X = RotationMatrix.MakeYRotation(np.pi / 2)
@@ -43,24 +47,13 @@ _TOOL_AWAY = RigidTransform([0.0, 0.0, -100.0])
 """Poses of bodies that take no part."""
 
 
-def _box_points(
-    inspector: SceneGraphInspector, geometries: list[GeometryId]
+def _points_on(
+    inspector: SceneGraphInspector, geometry: GeometryId
 ) -> np.ndarray:
-    """Returns (m, 3) points on the sides of anchored boxes, in the world."""
-    points = [np.zeros((0, 3))]
-    for geometry in geometries:
-        shape = inspector.GetShape(geometry)
-        if not isinstance(shape, Box):
-            continue
-        half = 0.5 * np.array(shape.size())
-        axes = [
-            np.linspace(-h, h, 2 + int(2 * h / _POINT_SPACING)) for h in half
-        ]
-        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-        surface = (np.abs(np.abs(grid) - half) < 1e-9).any(axis=1)
-        X_WS = inspector.GetPoseInFrame(geometry)
-        points.append((X_WS @ grid[surface].T).T)
-    return np.concatenate(points)
+    """Returns (m, 3) points on the sides of an anchored box, in the world."""
+    half = 0.5 * np.array(inspector.GetShape(geometry).size())
+    points = box_points(-half, half, _POINT_SPACING)
+    return (inspector.GetPoseInFrame(geometry) @ points.T).T
 
 
 class GraspScene:
@@ -95,7 +88,6 @@ class GraspScene:
         gripper: GripperGeometry,
         approach_distance: float = 0.10,
         cup_standoff: float = 0.002,
-        bin_model: Path | None = None,
     ) -> None:
         """Builds the scene.
 
@@ -104,7 +96,6 @@ class GraspScene:
             gripper: its frames and boxes.
             approach_distance: length of the straight approach, m.
             cup_standoff: the cup's box ends this far before its lip, m.
-            bin_model: SDFormat file of the bin; by default the package's.
 
         Raises:
             ValueError: two objects with the same name.
@@ -119,7 +110,7 @@ class GraspScene:
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
         self._plant = plant
         (bin_instance,) = Parser(plant).AddModels(
-            bin_model or models_dir() / "bin" / "bin.sdf"
+            models_dir() / "bin" / "bin.sdf"
         )
         bin_bodies = [
             plant.get_body(i) for i in plant.GetBodyIndices(bin_instance)
@@ -131,21 +122,22 @@ class GraspScene:
             for geometry in plant.GetCollisionGeometriesForBody(body)
         ]
         self._owner: dict[GeometryId, str] = dict.fromkeys(bin_ids, "bin")
-        self.bin_points = _box_points(scene_graph.model_inspector(), bin_ids)
+        inspector = scene_graph.model_inspector()
+        self.bin_points = np.concatenate(
+            [_points_on(inspector, geometry) for geometry in bin_ids]
+        )
 
         self._instance = plant.AddModelInstance("grasp_scene")
-        lower, upper = gripper.swept_jaw(approach_distance)
+        jaw, cup = (
+            gripper.approach(kind, approach_distance, cup_standoff)
+            for kind in (GraspKind.JAW, GraspKind.SUCTION)
+        )
         self._base, *fingers = (
-            self._add_tool(f"jaw_{side:g}", lower[part], upper[part])
+            self._add_tool(f"jaw_{side:g}", jaw, jaw.closing == side)
             for side in (0.0, -1.0, 1.0)
-            for part in [gripper.closing == side]
         )
         self._fingers = dict(zip((-1.0, 1.0), fingers, strict=True))
-        self._suction = self._add_tool(
-            "suction",
-            *gripper.swept_suction(approach_distance, cup_standoff),
-            gripper.round,
-        )
+        self._suction = self._add_tool("suction", cup, cup.closing == 0.0)
         self._objects = {
             model.name: self._add_object(model) for model in objects
         }
@@ -164,17 +156,13 @@ class GraspScene:
         self.set_poses({})
 
     def _add_tool(
-        self,
-        name: str,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        round_: np.ndarray | None = None,
+        self, name: str, tool: ApproachingTool, part: np.ndarray
     ) -> RigidBody:
-        """Adds a body of boxes, or of cylinders along x where ``round_``."""
+        """Adds a body of some of the boxes, or of the cylinders in them."""
         body = self._plant.AddRigidBody(name, self._instance, _INERTIA)
-        for i, (a, b) in enumerate(zip(lower, upper, strict=True)):
+        boxes = tool.lower[part], tool.upper[part], tool.round[part]
+        for i, (a, b, tube) in enumerate(zip(*boxes, strict=True)):
             length, width, height = b - a
-            tube = round_ is not None and round_[i]
             turn = _ALONG_X if tube else RotationMatrix()
             self._plant.RegisterCollisionGeometry(
                 body,

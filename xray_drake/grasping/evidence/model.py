@@ -364,20 +364,15 @@ class PlacedModel:
     ) -> np.ndarray:
         """Returns the (n,) free space around the gripper where it may stop."""
         gripper, config = self._gripper, self._gripper.config
-        geometry = gripper.geometry
+        X_BG, lower, upper, _, round_ = gripper.geometry.approach(
+            candidates.kind, config.approach_distance, config.cup_standoff
+        )
+        back = gripper.parameters.bellows_travel
         if candidates.kind is GraspKind.JAW:
-            X_BG, back = geometry.X_BJ, config.max_retreat
-            lower, upper = geometry.swept_jaw(config.approach_distance)
+            back = config.max_retreat
             opening = gripper.opening(candidates.width)
-            shift = geometry.closing_shift(opening)
+            shift = gripper.geometry.closing_shift(opening)
             lower, upper = lower + shift, upper + shift
-            round_ = np.zeros(len(geometry.round), bool)
-        else:
-            X_BG, back = geometry.X_BC, gripper.parameters.bellows_travel
-            lower, upper = geometry.swept_suction(
-                config.approach_distance, config.cup_standoff
-            )
-            round_ = geometry.round
         X_WB = moved(candidates.X_WG, -back) @ np.linalg.inv(X_BG)
         return clearance(points, X_WB, lower, upper, round_)
 
