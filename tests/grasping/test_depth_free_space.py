@@ -92,11 +92,11 @@ def bin_faces():
 def depth_inside(points_W, X_WG, kind, opening):
     """How deep the points are in the gripper's boxes, one box at a time."""
     tool = GRIPPER.approach(kind, 0.10, 0.002)
-    X_BG, lower, upper = tool.X_BG, tool.lower, tool.upper
+    lower, upper = tool.lower, tool.upper
     if kind is GraspKind.JAW:
-        shift = GRIPPER.closing_shift(opening)
+        shift = tool.closing_shift(opening)
         lower, upper = lower + shift, upper + shift
-    X_BW = X_BG @ np.linalg.inv(X_WG)
+    X_BW = tool.frame(kind) @ np.linalg.inv(X_WG)
     p_B = points_W @ X_BW[:3, :3].T + X_BW[:3, 3]
     deepest = -np.inf
     for a, b, tube in zip(lower, upper, tool.round, strict=True):

@@ -13,6 +13,7 @@ from tests.gripper.cells import (
 )
 from tests.ports import ports
 from tests.poses import at, downwards
+from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.gripper.actuation.ideal import (
     QuasiStaticConfig,
@@ -68,8 +69,7 @@ def make(judge, bodies, **more):
         judge=judge,
         objects=[MODELS[name] for name in bodies],
         bodies=bodies,
-        X_BJ=np.eye(4),
-        X_BC=np.eye(4),
+        geometry=load_gripper_geometry(),
         opening=0.05,
         **more,
     )
@@ -235,12 +235,12 @@ def test_the_drawn_gripper_goes_to_the_grasp():
     np.testing.assert_allclose(gripper.get("position"), home, atol=1e-9)
     gripper.advance_to(0.2)  # half way
     way = gripper.get("position") - home
-    goal = np.array([0.05, 0.02, 0.01]) - home[4:7]
+    goal = np.array([0.05, 0.02, 0.01 + 0.1142]) - home[4:7]
     np.testing.assert_allclose(way[4:7], 0.5 * goal, atol=1e-6)
     np.testing.assert_array_equal(gripper.get("position")[7:], 0)  # open
     assert gripper.advance_to(0.42).held == "brick"
     there = gripper.get("position")
-    np.testing.assert_allclose(there[4:7], [0.05, 0.02, 0.01])
+    np.testing.assert_allclose(there[4:7], [0.05, 0.02, 0.01 + 0.1142])
     # 30 mm between the contacts of an opening of 50 mm.
     np.testing.assert_allclose(there[7:], 0.01, atol=1e-9)
 

@@ -1,9 +1,8 @@
 """What planning knows of the gripper: its limits, its frames and its boxes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import Box, Cylinder, SceneGraphInspector, Shape
@@ -100,56 +99,37 @@ class GripperGeometry:
         motion = np.outer(self.closing, [0.0, 1.0, 0.0])
         return travel[..., None, None] * motion
 
+    def frame(self, kind: GraspKind) -> np.ndarray:
+        """Returns the 4×4 pose X_BG of the frame that grasps, m."""
+        return self.X_BC if kind is GraspKind.SUCTION else self.X_BJ
+
     def approach(
         self, kind: GraspKind, distance: float, standoff: float
-    ) -> "ApproachingTool":
-        """Returns the boxes of a gripper that comes straight.
+    ) -> "GripperGeometry":
+        """Returns the boxes swept along a straight approach.
 
-        They are swept along the approach: of the open jaw along z, or of the
-        gripper closed and the cup ahead along x.
+        Of the open jaw along z; across it stem and cup are boxes. Of the
+        gripper closed, which does not open, and the cup ahead along x.
 
         Args:
             kind: jaw or suction.
             distance: length of the approach, m.
             standoff: the cup is cut off this far before its lip, m.
         """
-        boxes = len(self.lower)
         if kind is GraspKind.JAW:
-            return ApproachingTool(
-                self.X_BJ,
-                self.lower - [0.0, 0.0, distance],
-                self.upper,
-                self.closing,
-                np.zeros(boxes, bool),
+            return replace(
+                self,
+                lower=self.lower - [0.0, 0.0, distance],
+                round=np.zeros_like(self.round),
             )
         shut = self.closing_shift(0.0)
         end = [self.X_BC[0, 3] - standoff, np.inf, np.inf]
-        return ApproachingTool(
-            self.X_BC,
-            self.lower + shut - [distance, 0.0, 0.0],
-            np.minimum(self.upper + shut, end),
-            np.zeros(boxes),
-            self.round,
+        return replace(
+            self,
+            lower=self.lower + shut - [distance, 0.0, 0.0],
+            upper=np.minimum(self.upper + shut, end),
+            closing=np.zeros_like(self.closing),
         )
-
-
-class ApproachingTool(NamedTuple):
-    """Boxes of a gripper that comes straight, in B.
-
-    Attributes:
-        X_BG: 4×4 pose of the frame that grasps, m.
-        lower: (n, 3) lower corners, m.
-        upper: (n, 3) upper corners, m.
-        closing: (n,) as those of the geometry; 0 where the jaw stays closed.
-        round: (n,) whether the cylinder in the box is meant: along the
-            approach; across it the box stands in.
-    """
-
-    X_BG: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    closing: np.ndarray
-    round: np.ndarray
 
 
 def _half_size(shape: Shape) -> np.ndarray:

@@ -43,7 +43,7 @@ def perturb(
     shift = config.position_sigma * rng.standard_normal(3)
     axis = rng.standard_normal(3)
     angle = config.angle_sigma * rng.standard_normal()
-    friction = config.friction + config.friction_sigma * rng.standard_normal()
+    friction = -np.inf
     while friction <= config.friction_min:
         friction = (
             config.friction + config.friction_sigma * rng.standard_normal()

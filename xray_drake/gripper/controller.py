@@ -1,7 +1,6 @@
 """The system that carries out grasps by contact."""
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context
 
 from xray_drake.gripper.actuation.contact import (
@@ -75,9 +74,7 @@ class GripperController(TransferSystem[ContactState, Measured]):
         size = 2 * len(gripper.carrier.home)
         self._carrier = self.DeclareVectorInputPort("carrier_state", size)
         self._fingers = self.DeclareVectorInputPort("finger_state", 4)
-        self._cup = self.DeclareAbstractInputPort(
-            "cup_state", Value(CupState())
-        )
+        self._cup = self.declare_input("cup_state", CupState())
         self._at_rest = self.DeclareVectorInputPort("at_rest", 1)
         self.DeclareVectorOutputPort(
             "carrier_desired_state",

@@ -54,9 +54,7 @@ class RestSensor(CollectableLeafSystem):
         super().__init__()
         self.set_name("rest_sensor")
         self._objects = [(model, bodies[model.name]) for model in objects]
-        self._poses = self.DeclareAbstractInputPort(
-            "body_poses", Value([RigidTransform()])
-        )
+        self._poses = self.declare_input("body_poses", [RigidTransform()])
         self._state = self.DeclareAbstractState(
             Value(RestTest(motion, round_time))
         )

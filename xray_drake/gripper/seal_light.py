@@ -1,7 +1,6 @@
 """Shows in Meshcat whether the suction cup draws air and has sealed."""
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.geometry import Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus
@@ -53,9 +52,7 @@ class SealLight(CollectableLeafSystem):
         self._X_BC = RigidTransform(X_BC)
         self._sealed = sealed
         self._shown: str | None = None
-        self._cup = self.DeclareAbstractInputPort(
-            "cup_state", Value(CupState())
-        )
+        self._cup = self.declare_input("cup_state", CupState())
         # Drake's visualizer deletes all that it has drawn when a simulation is
         # initialized, and the sleeves with it.
         self.DeclareInitializationPublishEvent(self._forget)

@@ -95,16 +95,14 @@ class SuctionCup(CollectableLeafSystem):
         self._gripper = gripper
         self._X_BC = np.array(X_BC)
         self._cup = cup or Cup()
-        self._tolerance = seal_tolerance
-        self._angle = seal_angle
+        radius = self._cup.parameters.cup_radius
+        self._lip = Lip(radius, seal_tolerance, seal_angle)
         self._step = time_step
         self._look_every = max(1, round(look_period / time_step))
         self._suction = self.DeclareVectorInputPort("suction", 1)
-        self._poses = self.DeclareAbstractInputPort(
-            "body_poses", Value([RigidTransform()])
-        )
-        self._velocities = self.DeclareAbstractInputPort(
-            "body_spatial_velocities", Value([SpatialVelocity.Zero()])
+        self._poses = self.declare_input("body_poses", [RigidTransform()])
+        self._velocities = self.declare_input(
+            "body_spatial_velocities", [SpatialVelocity.Zero()]
         )
         self._state = self.DeclareAbstractState(Value(CupState()))
         self.DeclareStateOutputPort("state", self._state)
@@ -205,18 +203,14 @@ class SuctionCup(CollectableLeafSystem):
             X_OW = poses[self._bodies[name]].inverse().GetAsMatrix4()
             X_OC = X_OW @ X_WC
             low, high = model.visual.bounds
-            room = self._cup.parameters.cup_radius + _BEHIND
+            room = self._lip.radius + _BEHIND
             if ((X_OC[:3, 3] > low - room) & (X_OC[:3, 3] < high + room)).all():
                 near[name] = X_OC
         for name, X_OC in near.items():
             seal = seal_cups(
                 self._models[name].visual,
                 X_OC[None],
-                Lip(
-                    self._cup.parameters.cup_radius,
-                    self._tolerance,
-                    self._angle,
-                ),
+                self._lip,
                 reach=_BEHIND,
             )
             nearest = float(seal.nearest[0])
@@ -240,7 +234,7 @@ class SuctionCup(CollectableLeafSystem):
             name: what the cup would seal on.
             depth: how far from the lip's plane that is, m.
         """
-        offsets = ring_offsets(self._cup.parameters.cup_radius)
+        offsets = ring_offsets(self._lip.radius)
         rays = np.column_stack([offsets, np.full(len(offsets), -_BEHIND)])
         for other, X_OC in near.items():
             if other == name:

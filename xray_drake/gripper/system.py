@@ -40,9 +40,7 @@ class TransferSystem(CollectableLeafSystem, Generic[S, M]):
         super().__init__()
         self.set_name("gripper_controller")
         self._transfer = Transfer(actuation)
-        self._action = self.DeclareAbstractInputPort(
-            "action", Value(SearchAction())
-        )
+        self._action = self.declare_input("action", SearchAction())
         self._state = self.DeclareAbstractState(Value(initial))
         self._ticket = self.abstract_state_ticket(self._state)
         self.DeclareAbstractOutputPort(

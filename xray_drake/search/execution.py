@@ -86,14 +86,12 @@ def _quasi_static(
     bodies: Mapping[str, int],
     judge: Judge,
 ) -> tuple[Execution, list[_Wire]]:
-    geometry = load_gripper_geometry()
     controller = builder.AddSystem(
         QuasiStaticGripper(
             judge=judge,
             objects=heap.models,
             bodies=bodies,
-            X_BJ=geometry.X_BJ,
-            X_BC=geometry.X_BC,
+            geometry=load_gripper_geometry(),
             opening=scenario.gripper.parameters.opening,
             config=scenario.gripper.quasi_static,
             seed=scenario.seed,

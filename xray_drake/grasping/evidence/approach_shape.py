@@ -91,11 +91,10 @@ class ApproachShape:
             approach_distance: length of the approach, m.
             cup_standoff: the cup ends this far before its lip, m.
         """
-        X_BG, lower, upper, closing, round_ = gripper.approach(
-            kind, approach_distance, cup_standoff
-        )
+        tool = gripper.approach(kind, approach_distance, cup_standoff)
+        lower, upper, closing = tool.lower, tool.upper, tool.closing
         ahead = 2 if kind is GraspKind.JAW else 0
-        slender = (closing != 0) | round_
+        slender = (closing != 0) | tool.round
         shut = 0.5 * gripper.open_width * np.array([0.0, 1.0, 0.0])
 
         clouds, sides, fine = [], [], []
@@ -103,11 +102,11 @@ class ApproachShape:
             spacing = TIP_SPACING if slender[i] else BODY_SPACING
             points = (
                 _tube_points(lower[i], upper[i], spacing)
-                if round_[i]
+                if tool.round[i]
                 else box_points(lower[i], upper[i], spacing, back=ahead)
             )
             within = np.zeros(len(points), bool)
-            for j in np.flatnonzero((closing == 0) & ~round_):
+            for j in np.flatnonzero((closing == 0) & ~tool.round):
                 ways = (points, points + closing[i] * shut)
                 within |= (j != i) & np.all(
                     [((p > lower[j]) & (p < upper[j])) for p in ways],
@@ -125,7 +124,7 @@ class ApproachShape:
             for part in (end[::2], is_fine, ~is_fine)
         )
         self._open_width = gripper.open_width
-        self._X_GB = np.linalg.inv(X_BG)
+        self._X_GB = np.linalg.inv(gripper.frame(kind))
 
     def transform(
         self, part: int, A: np.ndarray, X_WG: np.ndarray, opening: np.ndarray

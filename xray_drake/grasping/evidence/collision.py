@@ -24,10 +24,7 @@ from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
 from xray_drake.grasping.evidence.approach_shape import box_points
-from xray_drake.grasping.gripper_geometry import (
-    ApproachingTool,
-    GripperGeometry,
-)
+from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.messages import GraspKind
 from xray_drake.resources import models_dir
 from xray_drake.scene.object_model import ObjectModel
@@ -156,7 +153,7 @@ class GraspScene:
         self.set_poses({})
 
     def _add_tool(
-        self, name: str, tool: ApproachingTool, part: np.ndarray
+        self, name: str, tool: GripperGeometry, part: np.ndarray
     ) -> RigidBody:
         """Adds a body of some of the boxes, or of the cylinders in them."""
         body = self._plant.AddRigidBody(name, self._instance, _INERTIA)

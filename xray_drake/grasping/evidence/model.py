@@ -364,17 +364,17 @@ class PlacedModel:
     ) -> np.ndarray:
         """Returns the (n,) free space around the gripper where it may stop."""
         gripper, config = self._gripper, self._gripper.config
-        X_BG, lower, upper, _, round_ = gripper.geometry.approach(
-            candidates.kind, config.approach_distance, config.cup_standoff
+        kind, back = candidates.kind, gripper.parameters.bellows_travel
+        tool = gripper.geometry.approach(
+            kind, config.approach_distance, config.cup_standoff
         )
-        back = gripper.parameters.bellows_travel
-        if candidates.kind is GraspKind.JAW:
+        lower, upper = tool.lower, tool.upper
+        if kind is GraspKind.JAW:
             back = config.max_retreat
-            opening = gripper.opening(candidates.width)
-            shift = gripper.geometry.closing_shift(opening)
+            shift = tool.closing_shift(gripper.opening(candidates.width))
             lower, upper = lower + shift, upper + shift
-        X_WB = moved(candidates.X_WG, -back) @ np.linalg.inv(X_BG)
-        return clearance(points, X_WB, lower, upper, round_)
+        X_WB = moved(candidates.X_WG, -back) @ np.linalg.inv(tool.frame(kind))
+        return clearance(points, X_WB, lower, upper, tool.round)
 
     def stop_jaw(
         self, X_WG: np.ndarray, opening: np.ndarray, overtravel: float

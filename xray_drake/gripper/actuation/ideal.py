@@ -13,6 +13,7 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context
 
 from xray_drake.configuration import number
+from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.grasping.perturbation import PerturbationConfig, perturb
 from xray_drake.gripper.motion import Grip, Segment, straight
@@ -27,7 +28,7 @@ from xray_drake.gripper.transfer import (
     TransferState,
     tote_slot,
 )
-from xray_drake.messages import Grasp, GraspKind, Outcome
+from xray_drake.messages import Grasp, Outcome
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import BIN_WALL_HEIGHT, over_tote
 from xray_drake.scene.rest import RestTest, corners_in_cell
@@ -286,8 +287,7 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         judge: Judge,
         objects: Sequence[ObjectModel],
         bodies: Mapping[str, int],
-        X_BJ: np.ndarray,
-        X_BC: np.ndarray,
+        geometry: GripperGeometry,
         opening: float,
         config: QuasiStaticConfig | None = None,
         seed: int = 0,
@@ -300,8 +300,7 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
             judge: says whether a perturbed grasp holds.
             objects: all objects of the heap.
             bodies: object name to its index in the body ports.
-            X_BJ: 4×4 pose of the drawn gripper's jaw frame in its base, m.
-            X_BC: 4×4 pose of its cup frame, m.
+            geometry: of the drawn gripper.
             opening: of its jaw, m.
             config: motions and perturbations.
             seed: of the perturbations.
@@ -314,18 +313,16 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         super().__init__(actuation, actuation.initial(), period=period)
         self._bodies = dict(bodies)
         self._opening = opening
-        self._X_BJ, self._X_BC = X_BJ, X_BC
+        self._geometry = geometry
         self._grip = Grip(
             stiffness=config.stiffness,
             damping=config.damping,
             force=config.force,
             step=time_step,
         )
-        self._poses = self.DeclareAbstractInputPort(
-            "body_poses", Value([RigidTransform()])
-        )
-        self._velocities = self.DeclareAbstractInputPort(
-            "body_spatial_velocities", Value([SpatialVelocity.Zero()])
+        self._poses = self.declare_input("body_poses", [RigidTransform()])
+        self._velocities = self.declare_input(
+            "body_spatial_velocities", [SpatialVelocity.Zero()]
         )
         moving = {self._ticket, self.time_ticket(), self._poses.ticket()}
         self.DeclareAbstractOutputPort(
@@ -383,7 +380,7 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
             closed = (self._opening - min(grasp.width, self._opening)) / 2
         else:
             X_WG, _, _ = state.segment.sample(context.get_time())
-        X_BG = self._X_BC if grasp.kind is GraspKind.SUCTION else self._X_BJ
+        X_BG = self._geometry.frame(grasp.kind)
         X_WB = RigidTransform(X_WG @ np.linalg.inv(X_BG))
         output.SetFromVector(
             [

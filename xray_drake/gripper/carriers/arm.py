@@ -88,7 +88,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
             found = [q]
             for X_WT in poses[1:]:
                 way = self._straight_on(found[-1], X_WT)
-                if not _is_at(self.pose(way), X_WT):
+                if not np.allclose(self.pose(way), X_WT, rtol=0.0, atol=1e-6):
                     break
                 found.append(way)
             else:
@@ -374,10 +374,6 @@ reach`) finds some, from several seeds; from there a straight path is followed
 
     def _is_clear(self, knots: np.ndarray) -> bool:
         return all(self.cell.is_clear(q) for q in knots)
-
-
-def _is_at(X_WT: np.ndarray, X: np.ndarray) -> bool:
-    return bool(np.allclose(X_WT, X, rtol=0.0, atol=1e-6))
 
 
 def _straight(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
