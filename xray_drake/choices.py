@@ -33,6 +33,9 @@ DTYPES = ("float32", "bfloat16")
 GRASPS = ("models", "depth")
 EXECUTIONS = ("quasi_static", "contact")
 
+MESH_TIME_LIMIT = 300.0
+"""s that preparing one mesh file may take; most take a few."""
+
 CARRIERS = ("wrist", "arm")
 """What carries the gripper by contact."""
 

@@ -1,10 +1,16 @@
 """Convex pieces, given by their vertices."""
 
+from itertools import product
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
 _DIGITS = 9
 """Planes of triangles that lie in one face differ less."""
+
+CUBE_AXES = np.array(list(product((-1, 0, 1), repeat=3)))[14:]
+CUBE_AXES = CUBE_AXES / np.linalg.norm(CUBE_AXES, axis=1, keepdims=True)
+"""(13, 3) axes of a cube through faces, edges and corners; the first is z."""
 
 
 def hull_planes(vertices: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """How a rigid body can lie at rest on the floor, and how likely each way is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -59,13 +59,7 @@ def resting_poses(
         ValueError: a mesh without volume, or without any stable pose.
     """
     com = mesh.center_mass if p_OCom is None else p_OCom
-    return _find(
-        np.asarray(mesh.vertices, dtype=float).tobytes(),
-        np.asarray(mesh.faces, dtype=np.int64).tobytes(),
-        np.asarray(com, dtype=float).tobytes(),
-        least_share,
-        same,
-    )
+    return _find(mesh, tuple(map(float, com)), least_share, same)
 
 
 def standing(vertices: np.ndarray, R_WO: np.ndarray) -> np.ndarray:
@@ -92,50 +86,50 @@ def lean(poses: tuple[RestingPose, ...], X_WO: np.ndarray) -> float:
 
 @lru_cache(maxsize=32)
 def _find(
-    vertex_bytes: bytes,
-    face_bytes: bytes,
-    com_bytes: bytes,
+    mesh: trimesh.Trimesh,
+    p_OCom: tuple[float, ...],
     least_share: float,
     same: float,
 ) -> tuple[RestingPose, ...]:
-    vertices = np.frombuffer(vertex_bytes).reshape(-1, 3)
-    faces = np.frombuffer(face_bytes, dtype=np.int64).reshape(-1, 3)
-    p_OCom = np.frombuffer(com_bytes)
+    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     if len(spread) < 3 or spread[-1] <= 1e-9 * spread[0]:
         raise ValueError("a body without volume does not rest")
     hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
     transforms, shares = trimesh.poses.compute_stable_poses(
-        hull, center_mass=p_OCom, threshold=0.0
+        hull, center_mass=np.array(p_OCom), threshold=0.0
     )
     if not len(shares):
         raise ValueError("the mesh has no stable pose")
-    poses: list[tuple[np.ndarray, np.ndarray]] = []
-    totals: list[float] = []
-    downs: list[list[np.ndarray]] = []
+    found: list[RestingPose] = []
+    maps: list[np.ndarray] = []
     pitch = float(np.linalg.norm(np.ptp(vertices, axis=0))) / _REACH
     # A stable sort: equal shares keep the order in which they were found.
     for index in np.argsort(-shares.round(9), kind="stable"):
         if shares[index] <= 0:
             continue
-        R_WO = np.array(transforms[index][:3, :3])
+        R_WO, share = np.array(transforms[index][:3, :3]), float(shares[index])
         heights = _centered(standing(vertices, R_WO), faces, pitch)
-        for k, (_, known) in enumerate(poses):
+        for k, known in enumerate(maps):
             if _is_same(known, heights, same):
-                totals[k] += float(shares[index])
-                downs[k].append(-R_WO[2])
+                downs = np.vstack([found[k].downs, -R_WO[2]])
+                total = found[k].probability + share
+                found[k] = RestingPose(found[k].R_WO, total, downs)
                 break
         else:
-            poses.append((R_WO, heights))
-            downs.append([-R_WO[2]])
-            totals.append(float(shares[index]))
-    share = np.array(totals) / sum(totals)
-    kept = [k for k in np.argsort(-share, kind="stable")]
-    kept = [k for k in kept if share[k] >= least_share or k == kept[0]]
-    whole = sum(share[k] for k in kept)
+            found.append(RestingPose(R_WO, share, -R_WO[2:]))
+            maps.append(heights)
+    whole = sum(pose.probability for pose in found)
+    found.sort(key=lambda pose: -pose.probability / whole)
+    kept = [
+        pose
+        for pose in found
+        if pose.probability / whole >= least_share or pose is found[0]
+    ]
+    rest = sum(pose.probability / whole for pose in kept)
     return tuple(
-        RestingPose(poses[k][0], float(share[k] / whole), np.array(downs[k]))
-        for k in kept
+        replace(pose, probability=pose.probability / whole / rest)
+        for pose in kept
     )
 
 

@@ -33,9 +33,6 @@ config's coordinates: its centre is at i + 0.5. (Measured on Drake 1.51.1 and
 1.58.0: masks lie half a pixel up and left of what the config's principal point
 says of pixels with centres at integers.)"""
 
-_LOOKS = 48
-"""Rows and columns of pixels that are asked for what they see."""
-
 
 def nominal_camera() -> CameraConfig:
     """Returns the overhead camera of PROTOCOL.md.
@@ -174,29 +171,20 @@ def check_view(config: CameraConfig) -> None:
             "X_BD is not X_BC: depth and colour are taken to be one camera's"
         )
     camera = pinhole_camera(config)
-    rows, columns = (
-        np.linspace(0, side - 1, min(side, _LOOKS)) for side in camera.shape
-    )
-    u, v = np.meshgrid(columns, rows)
-    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ camera.pixel_to_ray.T
-    C = camera.X_WC[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -C[2] / rays[..., 2]
-        x, y = (C[i] + depth * rays[..., i] for i in (0, 1))
-        floor = (
-            (depth > 0)
-            & (x > BIN_FLOOR_X[0])
-            & (x < BIN_FLOOR_X[1])
-            & (y > BIN_FLOOR_Y[0])
-            & (y < BIN_FLOOR_Y[1])
-        )
-    if C[2] <= 0 or not floor.any():
+    depth = camera.plane_depth(0.0)
+    x, y, _ = np.moveaxis(camera.unproject(depth), 2, 0)
+    seen = depth[
+        (x > BIN_FLOOR_X[0])
+        & (x < BIN_FLOOR_X[1])
+        & (y > BIN_FLOOR_Y[0])
+        & (y < BIN_FLOOR_Y[1])
+    ]
+    if camera.X_WC[2, 3] <= 0 or not seen.size:
         raise ValueError(
             "X_PB: the camera does not look at the bin's floor (z = 0). It "
             "looks along its z axis: straight down is "
             "rotation: !Rpy {deg: [180, 0, 0]}"
         )
-    seen = depth[floor]
     if seen.min() > config.z_far or seen.max() < config.z_near:
         raise ValueError(
             f"the bin's floor is {seen.min():.3g} to {seen.max():.3g} m away, "

@@ -47,7 +47,7 @@ def object_names(
         ValueError: a family or split that does not exist.
     """
     for family in families:
-        _check_family(family)
+        _members(family)
     if split is None and not families:
         split = "train"
     if split is not None and split not in SPLITS:
@@ -57,7 +57,7 @@ def object_names(
     names = [
         name
         for family in families or families_of(split)
-        for name, _, belongs in _members(family)
+        for name, (_, belongs) in _members(family).items()
         if split in (None, belongs)
     ]
     if packaged:
@@ -75,7 +75,7 @@ def families_of(split: str | None = None) -> tuple[str, ...]:
     return tuple(
         family
         for family in FAMILIES
-        if any(split in (None, belongs) for *_, belongs in _members(family))
+        if any(split in (None, one) for _, one in _members(family).values())
     )
 
 
@@ -133,39 +133,29 @@ def drawn_object(name: str, family: str, draw: int) -> ObjectModel:
 
 
 @cache
-def _draws() -> dict[str, dict[str, list[int]]]:
-    """Reads the table: family, split, draws in the order of the numbers."""
-    path = files("xray_drake.scene.families") / "draws.json"
-    return json.loads(path.read_text(encoding="utf-8"))
+def _members(family: str) -> dict[str, tuple[int, str]]:
+    """Maps the names of a family's members to their draw and split.
 
-
-@cache
-def _members(family: str) -> tuple[tuple[str, int, str], ...]:
-    """Lists name, draw and split of a family's members."""
-    table = _draws().get(family, {})
-    drawn = [(draw, split) for split in SPLITS for draw in table.get(split, [])]
-    return tuple(
-        (f"{family}_{number:03d}", draw, split)
-        for number, (draw, split) in enumerate(drawn)
-    )
-
-
-@cache
-def _find(name: str) -> tuple[int, str]:
-    plain = name.removesuffix(PACKAGED)
-    family = plain.rpartition("_")[0]
-    _check_family(family)
-    for known, draw, split in _members(family):
-        if known == plain:
-            return draw, split
-    raise ValueError(
-        f"no object is called {name!r}; family {family!r} has "
-        f"{family}_000 to {_members(family)[-1][0]}"
-    )
-
-
-def _check_family(family: str) -> None:
+    Raises:
+        ValueError: there is no such family.
+    """
     if family not in FAMILIES:
         raise ValueError(
             f"no family is called {family!r}; there are {', '.join(FAMILIES)}"
         )
+    path = files("xray_drake.scene.families") / "draws.json"
+    table = json.loads(path.read_text(encoding="utf-8")).get(family, {})
+    drawn = [(draw, split) for split in SPLITS for draw in table.get(split, [])]
+    return {f"{family}_{number:03d}": one for number, one in enumerate(drawn)}
+
+
+def _find(name: str) -> tuple[int, str]:
+    plain = name.removesuffix(PACKAGED)
+    family = plain.rpartition("_")[0]
+    members = _members(family)
+    if plain not in members:
+        raise ValueError(
+            f"no object is called {name!r}; family {family!r} has "
+            f"{family}_000 to {list(members)[-1]}"
+        )
+    return members[plain]

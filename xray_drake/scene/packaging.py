@@ -48,7 +48,8 @@ def packaged_model(model: ObjectModel, seed: int) -> ObjectModel:
     """
     rng = np.random.default_rng(seed)
     R = flattest_side(model)
-    low, high = _bounds(np.asarray(model.visual.vertices) @ R.T)
+    turned = np.asarray(model.visual.vertices) @ R.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
     footprint = (high - low)[:2]
     size = np.minimum(footprint * rng.uniform(*MARGIN, size=2), LARGEST_CARD)
     thickness = rng.uniform(*CARD_THICKNESS)
@@ -77,7 +78,11 @@ def packaged_model(model: ObjectModel, seed: int) -> ObjectModel:
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R, p - center
     card.apply_translation(-center)
-    visual = _joined(model.visual.copy().apply_transform(X), card)
+    visual = model.visual.copy().apply_transform(X)
+    if visual.is_volume:
+        visual = trimesh.boolean.union([visual, card], engine="manifold")
+    else:
+        visual = trimesh.util.concatenate([visual, card])
     pieces = [piece @ R.T + X[:3, 3] for piece in model.pieces]
     return ObjectModel(
         name=model.name + PACKAGED,
@@ -147,16 +152,6 @@ def _to_floor(normal: np.ndarray) -> np.ndarray:
     return trimesh.geometry.align_vectors(normal, (0, 0, -1))[:3, :3]
 
 
-def _joined(one: trimesh.Trimesh, other: trimesh.Trimesh) -> trimesh.Trimesh:
-    if one.is_volume:
-        return trimesh.boolean.union([one, other], engine="manifold")
-    return trimesh.Trimesh(
-        np.concatenate([one.vertices, other.vertices]),
-        np.concatenate([one.faces, other.faces + len(one.vertices)]),
-        process=False,
-    )
-
-
 def _textured(
     textured: TexturedMesh, X: np.ndarray, card: trimesh.Trimesh
 ) -> TexturedMesh:
@@ -185,7 +180,3 @@ def _textured(
 
 def _parallel_axes(mass: float, p: np.ndarray) -> np.ndarray:
     return mass * (np.dot(p, p) * np.eye(3) - np.outer(p, p))
-
-
-def _bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return points.min(axis=0), points.max(axis=0)

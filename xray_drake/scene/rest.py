@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from xray_drake.scene.object_model import ObjectModel
 _FALLEN = -0.05
 """What is deeper than this has left the cell and falls on, m."""
 
+CORNERS = np.array(list(product((False, True), repeat=3)))
+"""(8, 3) bool: which corners of a box are at the upper end along x, y, z."""
+
 _NOISE = 1e-4
 """m. What moves less between two looks is not toppling."""
 
@@ -18,10 +22,7 @@ _NOISE = 1e-4
 def box_corners(model: ObjectModel, X_WO: np.ndarray) -> np.ndarray:
     """Returns the (8, 3) corners of an object's bounding box, in the world."""
     low, high = model.visual.bounds
-    choice = np.array(
-        [[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)], dtype=bool
-    )
-    corners = np.where(choice, high, low)
+    corners = np.where(CORNERS, high, low)
     return corners @ X_WO[:3, :3].T + X_WO[:3, 3]
 
 

@@ -13,25 +13,12 @@ from pydrake.systems.framework import Context, EventStatus
 from scipy.spatial.transform import Rotation
 
 from xray_drake.configuration import number
+from xray_drake.geometry.convex import CUBE_AXES
 from xray_drake.scene.plant import PlantObject
-from xray_drake.scene.rest import box_corners
+from xray_drake.scene.rest import CORNERS, box_corners
 from xray_drake.scene.sleep import Sleeper
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])
-
-_AXES = np.array(
-    [
-        *([1, 0, 0], [0, 1, 0], [0, 0, 1]),
-        *([1, 1, 0], [1, -1, 0], [1, 0, 1], [1, 0, -1], [0, 1, 1], [0, 1, -1]),
-        *([1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1]),
-    ]
-)
-_AXES = _AXES / np.linalg.norm(_AXES, axis=1, keepdims=True)
-"""(13, 3) directions along which bodies are told apart: a piece is bounded by
-26 planes, which in a heap is much tighter than by a box."""
-
-_UP = 2
-"""Index of the vertical among them."""
 
 
 @dataclass
@@ -249,7 +236,7 @@ class SleepMonitor:
         p = q[:, 4:]
         owner = self._point_owner
         points = np.einsum("nij,nj->ni", R[owner], self._points) + p[owner]
-        along = points @ _AXES.T
+        along = points @ CUBE_AXES.T
         return _Look(
             time,
             np.einsum("nij,nkj->nki", R, self._corners) + p[:, None],
@@ -268,7 +255,7 @@ class SleepMonitor:
             v = V_WB.translational() + np.cross(V_WB.rotational(), arms)
             here = arms + X_WB.translation()
             way = np.concatenate([here, here + config.look_period * v], axis=1)
-            along = way @ _AXES.T
+            along = way @ CUBE_AXES.T
             low = along.min(axis=1, keepdims=True) - config.reach
             high = along.max(axis=1, keepdims=True) + config.reach
             meet = (low <= look.high) & (high >= look.low)
@@ -296,10 +283,9 @@ class SleepMonitor:
         Wherever a body has been since its anchor, it reaches no more than
         ``drift`` beyond where it was then.
         """
-        config = self._config
-        return self._neighbours(
-            drifted, anchor, look, margin=config.margin + config.drift
-        ) | self._neighbours(drifted, look, look, margin=config.margin)
+        drift = self._config.drift
+        left = self._neighbours(drifted, look, there=anchor, farther=drift)
+        return left | self._neighbours(drifted, look)
 
     def _struck(
         self, context: Context, look: _Look, pulled: np.ndarray
@@ -312,20 +298,19 @@ class SleepMonitor:
         v = self._plant.GetVelocities(context)[self._v + np.arange(6)]
         fast = np.linalg.norm(v[:, 3:], axis=1) > config.impact_speed
         turn = np.linalg.norm(v[:, :3], axis=1) * self._radius * step
-        straight = (v[:, 3:] * step) @ _AXES.T
-        fall = straight + (_GRAVITY * step**2) @ _AXES.T
+        straight = (v[:, 3:] * step) @ CUBE_AXES.T
+        fall = straight + (_GRAVITY * step**2) @ CUBE_AXES.T
         back = np.minimum(np.minimum(straight, fall), 0) - turn[:, None]
         forth = np.maximum(np.maximum(straight, fall), 0) + turn[:, None]
         swept = look._replace(
             low=look.low + back[self._owner],
             high=look.high + forth[self._owner],
         )
-        margin = config.margin
-        struck = self._neighbours(fast & ~pulled, swept, look, margin=margin)
+        struck = self._neighbours(fast & ~pulled, look, there=swept)
         return (
             struck
-            | self._neighbours(struck, look, look, margin=margin)
-            | self._neighbours(fast & pulled, swept, look, margin=margin)
+            | self._neighbours(struck, look)
+            | self._neighbours(fast & pulled, look, there=swept)
         )
 
     def _pulled_along(self, pulled: np.ndarray, look: _Look) -> np.ndarray:
@@ -333,34 +318,34 @@ class SleepMonitor:
 
         Those, their neighbours, and what lies on any of them.
         """
-        margin = self._config.margin
-        reached = pulled | self._neighbours(pulled, look, look, margin=margin)
-        while True:
-            above = self._neighbours(
-                reached, look, look, margin=margin, above=True
-            )
-            if not (above & ~reached).any():
-                return reached
-            reached |= above
+        reached, before = pulled | self._neighbours(pulled, look), pulled
+        while (reached != before).any():
+            before = reached
+            reached = before | self._neighbours(before, look, above=True)
+        return reached
 
     def _neighbours(
         self,
         which: np.ndarray,
-        there: _Look,
         look: _Look,
         *,
-        margin: float,
+        there: _Look | None = None,
+        farther: float = 0.0,
         above: bool = False,
     ) -> np.ndarray:
         """Says which bodies others come near, (n,) bool.
 
+        Pieces are bounded by the 26 planes across ``CUBE_AXES``, which in a
+        heap is much tighter than by a box.
+
         Args:
             which: (n,) bool, the others.
-            there: where the others are.
             look: where all bodies are.
-            margin: so near, m.
+            there: where the others are, if not there.
+            farther: beyond the margin within which bodies are neighbours, m.
             above: only bodies with a piece higher than the near piece.
         """
+        there, margin = there or look, self._config.margin + farther
         near = np.zeros(len(self._items), dtype=bool)
         for index in np.flatnonzero(which):
             own = self._owner == index
@@ -368,8 +353,8 @@ class SleepMonitor:
             meet = (low - margin <= look.high) & (high + margin >= look.low)
             pairs = meet.all(axis=-1)
             if above:
-                middle = (low + high)[..., _UP]
-                pairs &= (look.low + look.high)[:, _UP] > middle
+                middle = (low + high)[..., 0]
+                pairs &= (look.low + look.high)[:, 0] > middle
             owners = self._owner[pairs.any(axis=0)]
             near[owners[owners != index]] = True
         return near
@@ -384,7 +369,6 @@ def _hulls(
         ValueError: a geometry that is not bounded, or a body without any.
     """
     inspector = scene_graph.model_inspector()
-    signs = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
     hulls = []
     for geometry in (
         *plant.GetCollisionGeometriesForBody(body),
@@ -396,7 +380,7 @@ def _hulls(
                 f"a mover must be bounded: {inspector.GetName(geometry)} is not"
             )
         X_BG = inspector.GetPoseInFrame(geometry) @ box.pose()
-        corners = (2 * signs - 1) * box.half_width()
+        corners = (2 * CORNERS - 1) * box.half_width()
         hulls.append(corners @ X_BG.rotation().matrix().T + X_BG.translation())
     if not hulls:
         raise ValueError(f"a mover must have geometry: {body.name()} has none")

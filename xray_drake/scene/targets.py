@@ -5,6 +5,7 @@ their body origin at the centre of their bounding box, with x along the length,
 y along the width and z along the thickness, or upwards.
 """
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -48,19 +49,11 @@ def target_model(name: str) -> ObjectModel:
         raise ValueError(
             f"no target is called {name!r}; there are {', '.join(names)}"
         )
-    if name == "lid":
-        solid = _lid()
-    elif name == "domino":
-        solid = box(*DOMINO_SIZE)
-    elif name == "flute":
-        solid = _flute()
-    elif name == "cube":
-        solid = box(CUBE_SIDE, CUBE_SIDE, CUBE_SIDE)
-    elif name == "mug":
-        solid = _mug()
-    else:
+    if name in BOX_TARGETS:
         ratio = 1 + BOX_TARGETS.index(name)
         solid = box(0.03 * ratio**0.5, 0.03 / ratio**0.5, 0.005)
+    else:
+        solid = _SHAPES[name]()
     return object_from_pieces(
         name,
         list(solid.surfaces),
@@ -149,6 +142,15 @@ def _mug() -> Solid:
         + box(bar, width, rise, (end - bar / 2, 0, middle))
     )
     return solid.moved(x=-(end - radius) / 2, z=-middle)
+
+
+_SHAPES: dict[str, Callable[[], Solid]] = {
+    "lid": _lid,
+    "domino": lambda: box(*DOMINO_SIZE),
+    "flute": _flute,
+    "cube": lambda: box(CUBE_SIDE, CUBE_SIDE, CUBE_SIDE),
+    "mug": _mug,
+}
 
 
 def size_in_any_pose(target: ObjectModel) -> np.ndarray:

@@ -20,6 +20,7 @@ from xray_drake.choices import (
     DTYPES,
     EXECUTIONS,
     GRASPS,
+    MESH_TIME_LIMIT,
     OCCUPANCIES,
     SEGMENTERS,
     TALL_TARGETS,
@@ -72,7 +73,6 @@ from xray_drake.scene.cameras import (
 )
 from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import HeapConfig
-from xray_drake.scene.meshes.importer import TIME_LIMIT
 from xray_drake.scene.plant import default_plant_config
 from xray_drake.splits import SPLITS
 from xray_drake.station.drake_rules import (
@@ -126,7 +126,7 @@ class SceneConfig:
     mesh_scale: float = number(1.0, "(0, 1000000]")
     # s that preparing one of the meshes may take; it is left out if it takes
     # longer.
-    mesh_time_limit: float = number(TIME_LIMIT, "(0, 1000000]")
+    mesh_time_limit: float = number(MESH_TIME_LIMIT, "(0, 1000000]")
     # A heap whose target starts more visible than this is drawn again; at 1
     # all heaps count.
     most_visible: float = number(1.0, "[0, 1]")

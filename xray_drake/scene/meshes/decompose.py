@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import coacd
 import fast_simplification
 import manifold3d
 import numpy as np
@@ -132,6 +131,8 @@ def coacd_pieces(
     Returns:
         (n, 3) vertices of each piece, m.
     """
+    import coacd  # What only runs scenarios needs none of it.
+
     coacd.set_log_level("error")
     coarse = decimated(mesh, COACD_FACES)
     found = coacd.run_coacd(

@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 
 from xray_drake.caches import cache_folder
+from xray_drake.choices import MESH_TIME_LIMIT
 from xray_drake.processes import Lost, run_jobs
 from xray_drake.scene.colors import distractor_color
 from xray_drake.scene.meshes.files import (
@@ -49,9 +50,6 @@ MAX_VERTICES = 12
 no more than is allowed, since contact costs follow them."""
 
 DEFAULT_LIMITS = LossLimits()
-
-TIME_LIMIT = 300.0
-"""s that preparing one file may take; most take a few."""
 
 _logger = logging.getLogger(__name__)
 
@@ -107,7 +105,7 @@ def import_meshes(
     max_loss: LossLimits = DEFAULT_LIMITS,
     cache_dir: Path | None = None,
     workers: int = 1,
-    time_limit: float = TIME_LIMIT,
+    time_limit: float = MESH_TIME_LIMIT,
     progress: Callable[[float], None] | None = None,
 ) -> MeshImport:
     """Reads one object per mesh under a folder, in the order of the paths.

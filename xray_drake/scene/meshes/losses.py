@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
+from xray_drake.geometry.convex import CUBE_AXES
 from xray_drake.geometry.silhouette import facing_triangles, fill_convex
 from xray_drake.scene.meshes.solids import solid, union
 
@@ -87,16 +87,9 @@ def measure_losses(
         volume=joint.volume() / volume - 1,
         silhouette=max(
             _silhouette_loss(surface, pieces, direction)
-            for direction in _directions()
+            for direction in CUBE_AXES
         ),
     )
-
-
-def _directions() -> np.ndarray:
-    """The (13, 3) axes of a cube through faces, edges and corners."""
-    steps = [step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
-    axes = np.array(steps, dtype=float)
-    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
 def _silhouette_loss(

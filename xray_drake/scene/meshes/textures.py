@@ -1,11 +1,14 @@
 """Textures of mesh files: off red, and as Drake renders them."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import trimesh
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh
 
+from xray_drake.scene.meshes.formats.images import image_of
 from xray_drake.scene.object_model import TexturedMesh
 
 LARGEST_TEXTURE = 512
@@ -39,9 +42,7 @@ def read_texture(mesh: trimesh.Trimesh) -> TexturedMesh | None:
         Vertices in the mesh's frame; ``None`` if it has no image or no texture
         coordinates.
     """
-    visual = mesh.visual
-    uv = getattr(visual, "uv", None)
-    image = _image(getattr(visual, "material", None))
+    uv, image = getattr(mesh.visual, "uv", None), _image(mesh)
     if uv is None or image is None or len(uv) != len(mesh.vertices):
         return None
     if not np.isfinite(uv).all():
@@ -92,12 +93,7 @@ def off_red(textured: TexturedMesh) -> TexturedMesh:
     if not is_red(mean_color(textured)):
         return textured
     for shift in HUE_SHIFTS:
-        shifted = TexturedMesh(
-            vertices=textured.vertices,
-            faces=textured.faces,
-            uv=textured.uv,
-            image=hue_shifted(textured.image, shift),
-        )
+        shifted = replace(textured, image=hue_shifted(textured.image, shift))
         if not is_red(mean_color(shifted)):
             return shifted
     return shifted
@@ -154,11 +150,9 @@ def _hsv(rgb: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
 
 
-def _image(material: object) -> np.ndarray | None:
-    """Returns a material's image, (h, w, 3) uint8 RGB of moderate size."""
-    image = getattr(material, "image", None)
-    if image is None:
-        image = getattr(material, "baseColorTexture", None)
+def _image(mesh: trimesh.Trimesh) -> np.ndarray | None:
+    """Returns a mesh's image, (h, w, 3) uint8 RGB of moderate size."""
+    image = image_of(mesh)
     if image is None:
         return None
     pixels = np.asarray(image.convert("RGB"))

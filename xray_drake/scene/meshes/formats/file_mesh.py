@@ -84,13 +84,16 @@ def triangulate(
 
 
 def mean_over_surface(
-    vertices: np.ndarray, triangles: np.ndarray, colors: np.ndarray
+    vertices: np.ndarray, triangles: np.ndarray, colors: np.ndarray | None
 ) -> np.ndarray:
-    """Returns the (3,) mean of (m, 3) colours of triangles by area."""
+    """Returns the (3,) mean of (m, 3) colours of triangles by area.
+
+    (0,) where there are none.
+    """
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     with np.errstate(invalid="ignore", over="ignore"):
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if not np.isfinite(areas).all() or areas.sum() == 0:
+    if colors is None or not np.isfinite(areas).all() or areas.sum() == 0:
         return np.zeros(0)
     return np.average(colors, axis=0, weights=areas)
 

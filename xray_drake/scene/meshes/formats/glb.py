@@ -11,6 +11,7 @@ from xray_drake.scene.meshes.formats.file_mesh import (
     in_one,
     mean_over_surface,
 )
+from xray_drake.scene.meshes.formats.images import image_of
 
 
 def read_glb(path: Path) -> FileMesh:
@@ -29,27 +30,20 @@ def read_glb(path: Path) -> FileMesh:
     groups = np.repeat(
         np.arange(len(nodes)), [len(mesh.faces) for mesh in nodes]
     )
-    textured = any(_image(mesh) is not None for mesh in nodes)
+    textured = any(image_of(mesh) is not None for mesh in nodes)
     colors = [
         np.broadcast_to(one, (len(mesh.faces), 3))
         for mesh in nodes
         if (one := _color(mesh)) is not None
     ]
+    every = np.concatenate(colors) if len(colors) == len(nodes) else None
     return FileMesh(
         vertices,
         triangles,
         groups,
         visual=in_one(nodes) if textured else None,
-        color=mean_over_surface(vertices, triangles, np.concatenate(colors))
-        if len(colors) == len(nodes)
-        else np.zeros(0),
+        color=mean_over_surface(vertices, triangles, every),
     )
-
-
-def _image(mesh: trimesh.Trimesh) -> object:
-    material = getattr(mesh.visual, "material", None)
-    image = getattr(material, "image", None)
-    return image or getattr(material, "baseColorTexture", None)
 
 
 def _color(mesh: trimesh.Trimesh) -> np.ndarray | None:

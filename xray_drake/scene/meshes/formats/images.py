@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
+import trimesh
 from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
 
 
 def find_file(folder: Path, name: str) -> Path | None:
@@ -46,3 +50,23 @@ def opened_image(path: Path | None) -> Image.Image | None:
             return image.convert("RGB")
     except (OSError, ValueError):
         return None
+
+
+def image_of(mesh: trimesh.Trimesh) -> Image.Image | None:
+    """Returns the image of a mesh's material, where it has one."""
+    material = getattr(mesh.visual, "material", None)
+    image = getattr(material, "image", None)
+    return image or getattr(material, "baseColorTexture", None)
+
+
+def with_image(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    uv: np.ndarray,
+    image: Image.Image | None,
+    diffuse: np.ndarray | None = None,
+) -> trimesh.Trimesh:
+    """Returns a surface with an image on it, or a colour where it has none."""
+    material = SimpleMaterial(image=image, diffuse=diffuse)
+    visual = TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, faces, visual=visual, process=False)

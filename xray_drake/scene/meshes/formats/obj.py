@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from trimesh.visual import TextureVisuals
-from trimesh.visual.material import SimpleMaterial
 
 from xray_drake.scene.meshes.formats.file_mesh import (
     FileMesh,
@@ -16,7 +14,7 @@ from xray_drake.scene.meshes.formats.file_mesh import (
     triangulate,
     unit_colors,
 )
-from xray_drake.scene.meshes.formats.images import opened_image
+from xray_drake.scene.meshes.formats.images import opened_image, with_image
 from xray_drake.scene.meshes.formats.materials import (
     Library,
     Material,
@@ -166,18 +164,17 @@ def _color(
     materials: Sequence[Material],
 ) -> np.ndarray:
     named = np.array([m.color is not None for m in materials])
+    colors = None
     if len(triangles) and named[used].any():
         palette = [_GREY if m.color is None else m.color for m in materials]
-        return mean_over_surface(vertices, triangles, np.array(palette)[used])
-    if not content.colors:
-        return np.zeros(0)
-    colors = np.tile(_GREY, (len(vertices), 1))
-    colors[list(content.colors)] = unit_colors(
-        np.array(list(content.colors.values()))
-    )
-    return mean_over_surface(
-        vertices, triangles, colors[triangles].mean(axis=1)
-    )
+        colors = np.array(palette)[used]
+    elif content.colors:
+        of_vertices = np.tile(_GREY, (len(vertices), 1))
+        of_vertices[list(content.colors)] = unit_colors(
+            np.array(list(content.colors.values()))
+        )
+        colors = of_vertices[triangles].mean(axis=1)
+    return mean_over_surface(vertices, triangles, colors)
 
 
 def _visual(
@@ -206,17 +203,12 @@ def _visual(
         color = materials[index].color
         diffuse = np.append(_GREY if color is None else color, 1) * 255
         parts.append(
-            trimesh.Trimesh(
+            with_image(
                 vertices[pairs[:, 0]],
                 faces.reshape(-1, 3),
-                visual=TextureVisuals(
-                    uv=padded[pairs[:, 1]],
-                    material=SimpleMaterial(
-                        image=images[index],
-                        diffuse=diffuse.round().astype(np.uint8),
-                    ),
-                ),
-                process=False,
+                padded[pairs[:, 1]],
+                images[index],
+                diffuse.round().astype(np.uint8),
             )
         )
     return in_one(parts)

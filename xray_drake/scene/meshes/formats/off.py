@@ -77,9 +77,5 @@ def read_off(path: Path) -> FileMesh:
         vertices,
         triangles,
         np.zeros(len(triangles), np.int64),
-        color=(
-            np.zeros(0)
-            if colors is None
-            else mean_over_surface(vertices, triangles, colors)
-        ),
+        color=mean_over_surface(vertices, triangles, colors),
     )

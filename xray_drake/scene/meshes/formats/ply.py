@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from trimesh.visual import TextureVisuals
-from trimesh.visual.material import SimpleMaterial
 
 from xray_drake.scene.meshes.formats.file_mesh import (
     FileMesh,
@@ -16,7 +14,11 @@ from xray_drake.scene.meshes.formats.file_mesh import (
     triangulate,
     unit_colors,
 )
-from xray_drake.scene.meshes.formats.images import find_file, opened_image
+from xray_drake.scene.meshes.formats.images import (
+    find_file,
+    opened_image,
+    with_image,
+)
 from xray_drake.scene.meshes.formats.text import decoded, numbers
 
 _TYPES = {
@@ -278,13 +280,8 @@ def _visual(
         uv = flat.reshape(-1, 2)[corners.ravel()]
     if uv is None:
         return None, (f"its texture {texture} has no coordinates",)
-    shown = trimesh.Trimesh(
-        vertices[triangles.ravel()],
-        np.arange(3 * len(triangles)).reshape(-1, 3),
-        visual=TextureVisuals(uv=uv, material=SimpleMaterial(image=image)),
-        process=False,
-    )
-    return shown, ()
+    faces_of = np.arange(3 * len(triangles)).reshape(-1, 3)
+    return with_image(vertices[triangles.ravel()], faces_of, uv, image), ()
 
 
 def _color(
