@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -59,8 +60,7 @@ def unknown_points(depth, camera):
 def beside_the_image(camera):
     """Points up to 15 pixels outside the image, (m, 3)."""
     u, v = np.meshgrid(
-        np.arange(-15, camera.width + 16, 7.5),
-        np.arange(-15, camera.height + 16, 7.5),
+        *(np.arange(-15, n + 16, 7.5) for n in (camera.width, camera.height))
     )
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     pixels = np.stack([u, v, np.ones_like(u)], axis=-1)[~inside]
@@ -72,21 +72,11 @@ def beside_the_image(camera):
 def bin_faces():
     """The inner faces of the bin, every 5 mm, the floor 3 mm lower: it is no
     obstacle within 2 mm of where it is. (m, 3)."""
-    x, y = np.meshgrid(
-        np.arange(*BIN_FLOOR_X, 0.005), np.arange(*BIN_FLOOR_Y, 0.005)
+    corners = np.column_stack(
+        [BIN_FLOOR_X, BIN_FLOOR_Y, (-0.003, BIN_WALL_HEIGHT)]
     )
-    floor = np.stack([x, y, np.full_like(x, -0.003)], axis=-1)
-    height = np.arange(0.005, BIN_WALL_HEIGHT + 1e-9, 0.005)
-    faces = [floor.reshape(-1, 3)]
-    for axis, sides in enumerate((BIN_FLOOR_X, BIN_FLOOR_Y)):
-        along = np.arange(*(BIN_FLOOR_Y, BIN_FLOOR_X)[axis], 0.005)
-        for side in sides:
-            face = np.empty((len(along), len(height), 3))
-            face[..., axis] = side
-            face[..., 1 - axis] = along[:, None]
-            face[..., 2] = height
-            faces.append(face.reshape(-1, 3))
-    return np.concatenate(faces)
+    box = trimesh.creation.box(bounds=corners).subdivide_to_size(0.005)
+    return box.vertices[box.vertices[:, 2] < BIN_WALL_HEIGHT - 1e-6]
 
 
 def depth_inside(points_W, X_WG, kind, opening):

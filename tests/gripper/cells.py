@@ -7,6 +7,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from tests.alone import Alone
 from tests.poses import at, downwards
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
@@ -55,32 +56,6 @@ def make_gripper(carrier="wrist"):
     gripper = add_gripper(plant, carrier=carrier)
     plant.Finalize()
     return gripper
-
-
-class Alone:
-    """A system with fixed inputs."""
-
-    def __init__(self, system, **inputs):
-        self.system = system
-        self.simulator = Simulator(system)
-        self.context = self.simulator.get_mutable_context()
-        for port, value in inputs.items():
-            self.fix(port, value)
-
-    def fix(self, port, value):
-        plain = isinstance(value, np.ndarray)
-        self.system.GetInputPort(port).FixValue(
-            self.context, value if plain else AbstractValue.Make(value)
-        )
-
-    def get(self, port):
-        return self.system.GetOutputPort(port).Eval(self.context)
-
-    def advance_to(self, time):
-        """Advances; handles the events due at ``time``; the first output."""
-        self.simulator.AdvanceTo(time)
-        self.simulator.AdvancePendingEvents()
-        return self.system.get_output_port(0).Eval(self.context)
 
 
 def controller_alone(gripper, action):
@@ -149,11 +124,12 @@ class BinCell:
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
 
-    def fix(self, port, value):
-        plain = isinstance(value, np.ndarray)
-        self.diagram.GetInputPort(port).FixValue(
-            self.context, value if plain else AbstractValue.Make(value)
-        )
+    def fix(self, **inputs):
+        for port, value in inputs.items():
+            plain = isinstance(value, np.ndarray)
+            self.diagram.GetInputPort(port).FixValue(
+                self.context, value if plain else AbstractValue.Make(value)
+            )
 
     def advance(self, time):
         self.simulator.AdvanceTo(self.context.get_time() + time)
@@ -186,7 +162,7 @@ class TransferCell(BinCell):
 
     def run(self, action, limit=8.0):
         """Runs an action to its end; returns the object's way, (n, 3)."""
-        self.fix("action", action)
+        self.fix(action=action)
         way = []
         end = self.context.get_time() + limit
         while True:
@@ -269,12 +245,12 @@ class DrivenCell(BinCell):
             )
         self.build()
         self.want(gripper.carrier.home)
-        self.fix("fingers", np.zeros(4))
+        self.fix(fingers=np.zeros(4))
 
     def want(self, q, v=None):
         """Sets the wrist's desired state."""
         self.q = q
-        self.fix("wrist", np.r_[q, np.zeros(len(q)) if v is None else v])
+        self.fix(wrist=np.r_[q, np.zeros(len(q)) if v is None else v])
 
     def at(self, X_WG, X_BG=None):
         """Puts a frame of the gripper, by default the jaw, at a pose."""

@@ -140,8 +140,8 @@ def test_two_contexts_of_one_controller_take_turns(gripper):
     ]
 
     def desired(controller, time):
-        controller.simulator.AdvanceTo(time)
-        return np.array(controller.get("carrier_desired_state"))
+        controller.advance_to(time)
+        return np.array(controller.output("carrier_desired_state"))
 
     # Without an arm that follows it aborts soon, and finds its way home.
     times = 0.1 * np.arange(1, 8)

@@ -46,25 +46,25 @@ def test_idle_it_stays_at_home(gripper):
     status = controller.advance_to(0.2)
     assert (status.mode, status.number) == (GripperMode.IDLE, 0)
     np.testing.assert_allclose(
-        controller.get("carrier_desired_state"),
+        controller.output("carrier_desired_state"),
         [*gripper.carrier.home, *np.zeros(6)],
         atol=1e-9,
     )
-    np.testing.assert_array_equal(controller.get("finger_desired_state"), 0)
-    np.testing.assert_array_equal(controller.get("suction"), [0])
+    np.testing.assert_array_equal(controller.output("finger_desired_state"), 0)
+    np.testing.assert_array_equal(controller.output("suction"), [0])
 
 
 def test_it_sets_out_and_tells_of_a_wrist_that_does_not_follow(gripper):
     action = take(GraspKind.JAW, "brick", (0.0, 0.0, 0.02), 0.02)
     controller = controller_alone(gripper, action)
-    assert controller.get("status").mode is GripperMode.IDLE
+    assert controller.output("status").mode is GripperMode.IDLE
     status = controller.advance_to(0.02)
     assert (status.mode, status.number) == (GripperMode.BUSY, 1)
     controller.advance_to(0.2)
-    desired = controller.get("carrier_desired_state")
+    desired = controller.output("carrier_desired_state")
     assert desired[1] < gripper.carrier.home[1] - 0.001  # from home to the bin
     assert desired[7] < 0
-    fingers = controller.get("finger_desired_state")
+    fingers = controller.output("finger_desired_state")
     assert 0.003 < fingers[0] == fingers[1]
     time = 0.2
     while (status := controller.advance_to(time)).mode is GripperMode.BUSY:

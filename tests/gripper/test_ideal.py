@@ -6,8 +6,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from scipy.spatial.transform import Rotation
 
+from tests.alone import Alone
 from tests.gripper.cells import (
-    Alone,
     TransferCell,
     assert_brought_to_the_tote,
 )
@@ -124,19 +124,19 @@ def test_without_a_grasp_it_stays_idle(number, outcome):
     assert (status.outcome, status.held) == (outcome, "")
     assert bool(status.reason) == (number > 0)
     assert (status.stirring, status.loose) == (False, ())
-    assert gripper.get("applied_spatial_force") == []
+    assert gripper.output("applied_spatial_force") == []
     assert judge.asked == []
 
 
 def test_a_command_is_taken_up_once():
     gripper = alone(Judge(), take("brick"))
-    assert gripper.get("status").mode is GripperMode.IDLE  # before an event
+    assert gripper.output("status").mode is GripperMode.IDLE  # before an event
     status = gripper.advance_to(0.02)
     assert (status.mode, status.number) == (GripperMode.BUSY, 1)
     assert (status.outcome, status.held) == (Outcome.NONE, "")
     assert not status.stirring
-    assert gripper.get("applied_spatial_force") == []
-    gripper.fix("action", take(TARGET, 2))  # too early: it is busy
+    assert gripper.output("applied_spatial_force") == []
+    gripper.fix(action=take(TARGET, 2))  # too early: it is busy
     assert gripper.advance_to(0.3).number == 1
 
 
@@ -146,8 +146,8 @@ def test_the_spring_pulls_at_the_centre_of_mass(spin):
     gripper = lifting(Judge())
     w = np.array([0.0, 0.0, spin])
     v = np.cross(w, -BRICK.p_OCom)  # of the body origin
-    gripper.fix("body_spatial_velocities", moving(np.r_[w, v]))
-    (applied,) = gripper.get("applied_spatial_force")
+    gripper.fix(body_spatial_velocities=moving(np.r_[w, v]))
+    (applied,) = gripper.output("applied_spatial_force")
     assert int(applied.body_index) == 1
     np.testing.assert_allclose(applied.p_BoBq_B, BRICK.p_OCom)
     weight = [0, 0, 9.81 * BRICK.mass]
@@ -180,7 +180,7 @@ def test_perturbations_follow_the_seed_and_the_number():
     judge = Judge(0.0, "slippery")
     gripper = alone(judge, SearchAction())
     for number in (1, 2):
-        gripper.fix("action", take("brick", number))
+        gripper.fix(action=take("brick", number))
         gripper.advance_to(number * 1.5)
     (_, X_WG, friction), (_, _, of_the_next) = judge.asked
     for _, X, mu in (*first.asked, *same.asked):
@@ -196,7 +196,7 @@ def test_a_judged_failure_moves_nothing_and_says_why():
     busy = 0
     for i in range(1, 76):
         status = gripper.advance_to(0.02 * i)
-        assert gripper.get("applied_spatial_force") == []
+        assert gripper.output("applied_spatial_force") == []
         assert not (status.stirring or status.settling)
         assert (status.loose, status.held) == ((), "")
         if status.mode is GripperMode.BUSY:
@@ -211,7 +211,7 @@ def test_a_judged_failure_moves_nothing_and_says_why():
 def test_an_object_that_is_stuck_slips():
     gripper = lifting(Judge())  # its pose stays fixed
     time = gripper.context.get_time()
-    while gripper.get("applied_spatial_force"):
+    while gripper.output("applied_spatial_force"):
         time += 0.02
         assert time < 2.0
         status = gripper.advance_to(time)
@@ -223,23 +223,23 @@ def test_an_object_that_is_stuck_slips():
     assert (status.mode, status.outcome) == (GripperMode.IDLE, Outcome.SLIPPED)
     assert status.reason
     assert not (status.stirring or status.settling)
-    assert gripper.get("applied_spatial_force") == []
+    assert gripper.output("applied_spatial_force") == []
 
 
 def test_the_drawn_gripper_goes_to_the_grasp():
     gripper = alone(Judge(), take("brick"))
-    home = gripper.get("position")
+    home = gripper.output("position")
     assert home.shape == (9,)
     assert np.linalg.norm(home[:4]) == pytest.approx(1.0)
     gripper.advance_to(0.0)
-    np.testing.assert_allclose(gripper.get("position"), home, atol=1e-9)
+    np.testing.assert_allclose(gripper.output("position"), home, atol=1e-9)
     gripper.advance_to(0.2)  # half way
-    way = gripper.get("position") - home
+    way = gripper.output("position") - home
     goal = np.array([0.05, 0.02, 0.01 + 0.1142]) - home[4:7]
     np.testing.assert_allclose(way[4:7], 0.5 * goal, atol=1e-6)
-    np.testing.assert_array_equal(gripper.get("position")[7:], 0)  # open
+    np.testing.assert_array_equal(gripper.output("position")[7:], 0)  # open
     assert gripper.advance_to(0.42).held == "brick"
-    there = gripper.get("position")
+    there = gripper.output("position")
     np.testing.assert_allclose(there[4:7], [0.05, 0.02, 0.01 + 0.1142])
     # 30 mm between the contacts of an opening of 50 mm.
     np.testing.assert_allclose(there[7:], 0.01, atol=1e-9)
@@ -286,7 +286,7 @@ def test_it_holds_until_the_rest_is_at_rest():
     waiting = {}
     for height in (0.0025, 6.0):
         cell = Cell(POSES | {TARGET: at(-0.1, 0.0, height)})
-        cell.fix("action", take("brick"))
+        cell.fix(action=take("brick"))
         start = cell.advance_until(stirring=True)
         waiting[height] = cell.advance_until(stirring=False) - start
         assert cell.status.held == "brick"
@@ -294,18 +294,16 @@ def test_it_holds_until_the_rest_is_at_rest():
     assert cell.height(TARGET) < 0.05  # it has landed meanwhile
 
 
-def test_it_does_not_wait_for_ever():
-    falling = POSES | {TARGET: at(-0.1, 0.0, 200.0)}
-    cell = Cell(falling, config=QuasiStaticConfig(rest_timeout=0.5))
-    cell.run(take("brick"), limit=5.0)
-    assert cell.status.outcome is Outcome.LIFTED
-
-
-def test_what_fell_out_of_the_cell_is_left_alone():
-    """It falls on below the tote; the gripper neither follows nor waits."""
-    cell = Cell(POSES | {TARGET: at(0.0, 5.0, -0.2)})
+@pytest.mark.parametrize(
+    ("X_WO", "timeout", "height"),
+    [(at(-0.1, 0.0, 200.0), 0.5, 220.0), (at(0.0, 5.0, -0.2), 3.0, -10.0)],
+    ids=["no rest in time", "fell out of the cell: on below the tote"],
+)
+def test_it_does_not_wait_for_ever_nor_follow(X_WO, timeout, height):
+    config = QuasiStaticConfig(rest_timeout=timeout)
+    cell = Cell(POSES | {TARGET: X_WO}, config=config)
     way = cell.run(take("brick"), limit=4.0)
-    assert cell.height(TARGET) < -10.0
+    assert cell.height(TARGET) < height
     assert cell.status.outcome is Outcome.LIFTED
     assert inside_tote(way[-1])
     assert way[:, 2].min() > 0.0
@@ -314,7 +312,7 @@ def test_what_fell_out_of_the_cell_is_left_alone():
 def test_what_the_status_says_of_an_object_alone_in_the_bin():
     """It settles between the lift and the way to the tote."""
     cell = Cell({"brick": POSES["brick"]})
-    cell.fix("action", take("brick"))
+    cell.fix(action=take("brick"))
     said = []
     while cell.context.get_time() < 4.0:
         cell.advance(0.02)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from tests.gripper.cells import Alone
+from tests.alone import Alone
 from xray_drake.gripper.rest_sensor import RestSensor
 from xray_drake.scene.targets import target_model
 
@@ -20,7 +20,7 @@ class Watched(Alone):
         self.put(0.0, 0.0, 0.01)
 
     def put(self, *p_WO):
-        self.fix("body_poses", [RigidTransform(), RigidTransform(p_WO)])
+        self.fix(body_poses=[RigidTransform(), RigidTransform(p_WO)])
 
     def after(self, duration):
         return bool(self.advance_to(self.context.get_time() + duration)[0])

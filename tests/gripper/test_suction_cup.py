@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 
-from tests.gripper.cells import STEP, Alone, DrivenCell, block
+from tests.alone import Alone
+from tests.gripper.cells import STEP, DrivenCell, block
 from tests.ports import ports
 from tests.poses import at, downwards
 from xray_drake.gripper.suction_cup import SuctionCup
@@ -53,15 +54,15 @@ class Cup(Alone):
         poses = [np.eye(4), X_WB, self.X_WO, self.X_other]
         still = SpatialVelocity.Zero()
         moving = [SpatialVelocity(w=v[:3], v=v[3:]) for v in self.velocity]
-        self.fix("body_poses", [RigidTransform(X) for X in poses])
-        self.fix("body_spatial_velocities", [still, *moving, still])
+        self.fix(body_poses=[RigidTransform(X) for X in poses])
+        self.fix(body_spatial_velocities=[still, *moving, still])
 
     def advance(self, steps=1):
         return self.advance_to(self.context.get_time() + STEP * steps)
 
     @property
     def forces(self):
-        return self.get("applied_spatial_force")
+        return self.output("applied_spatial_force")
 
 
 def over_plate(height, x=0.0, tilt=0.0):
@@ -80,16 +81,16 @@ def test_ports_are_named():
 
 def test_it_seals_on_command_and_lets_go():
     cup = Cup(over_plate(0.0))
-    cup.fix("suction", np.zeros(1))
+    cup.fix(suction=np.zeros(1))
     assert cup.advance(8).object == ""
     assert cup.forces == []
-    cup.fix("suction", np.ones(1))
+    cup.fix(suction=np.ones(1))
     state = cup.advance(5)
     assert state.object == "plate"
     assert state.drawing
     np.testing.assert_allclose(state.X_OC, over_plate(0.0), atol=1e-12)
     assert cup.advance(40).vacuum > 0.95
-    cup.fix("suction", np.zeros(1))
+    cup.fix(suction=np.zeros(1))
     state = cup.advance(2)
     assert (state.object, state.vacuum, state.drawing) == ("", 0.0, False)
     assert cup.forces == []
@@ -127,13 +128,11 @@ def test_it_seals_where_all_of_its_lip_touches(X_WC, seals):
 @pytest.mark.parametrize(("radius", "seals"), [(0.03, True), (0.018, False)])
 def test_it_does_not_seal_where_the_surface_curves(radius, seals):
     model = lying_cylinder(radius)
-    sealed = [
-        bool(
-            Cup(downwards(0, 0, radius - press), model=model).advance(5).object
-        )
+    cups = [
+        Cup(downwards(0, 0, radius - press), model=model)
         for press in np.linspace(-0.001, 0.009, 11)
     ]
-    assert any(sealed) == seals
+    assert any(cup.advance(5).object for cup in cups) == seals
 
 
 def test_it_does_not_seal_over_something_else():
@@ -179,8 +178,8 @@ class Cell(DrivenCell):
         self.mass = model.mass
         gripper, shut = self.gripper, self.gripper.finger_travel
         self.at(downwards(0.05, 0.02, model.extents[2]), gripper.X_BC)
-        self.fix("fingers", np.array([shut, shut, 0, 0]))
-        self.fix("suction", np.ones(1))
+        self.fix(fingers=np.array([shut, shut, 0, 0]))
+        self.fix(suction=np.ones(1))
         self.advance(0.25)
         assert self.state.object == "plate"
 
@@ -219,8 +218,6 @@ def test_it_lifts_what_the_vacuum_can_hold(mass):
     assert cell.state.object == "plate"
     sag = 9.81 * mass / 1750.0
     assert cell.height("plate") - start == pytest.approx(0.1 - sag, abs=5e-4)
-    assert cell.state.wrench[5] == pytest.approx(9.81 * mass, rel=0.02)
-    assert cell.state.load == pytest.approx(9.81 * mass / 14.0, rel=0.05)
     assert cell.plant.CalcKineticEnergy(cell.plant_context) < 1e-5
 
 

@@ -31,7 +31,7 @@ class Cell(DrivenCell):
                 finger + gripper.finger_speed * STEP,
                 float(self.fingers.mean()) + lead,
             )
-            self.fix("fingers", np.array([finger, finger, 0, 0]))
+            self.fix(fingers=np.array([finger, finger, 0, 0]))
             self.advance(STEP)
 
     def lift(self):
@@ -74,7 +74,7 @@ def pushed(cell, body, *force):
     push = ExternallyAppliedSpatialForce()
     push.body_index = body.index()
     push.F_Bq_W = SpatialForce(tau=np.zeros(3), f=force)
-    cell.fix("force", [push])
+    cell.fix(force=[push])
 
 
 @pytest.mark.parametrize("time_step", [0.001, 0.005, 0.01])
@@ -195,7 +195,7 @@ def test_at_home_the_camera_does_not_see_it(carrier):
 def test_its_fingers_are_one():
     """What pushes on one moves both; the wrist stays where it is."""
     cell = Cell()
-    cell.fix("fingers", np.array([0.01, 0.01, 0, 0]))
+    cell.fix(fingers=np.array([0.01, 0.01, 0, 0]))
     cell.advance(0.3)
     np.testing.assert_allclose(cell.wrist, cell.gripper.carrier.home, atol=1e-6)
     np.testing.assert_allclose(cell.fingers, 0.01, atol=1e-5)
@@ -209,7 +209,7 @@ def test_its_fingers_are_one():
 def test_its_forces_are_limited():
     cell = Cell(brick(0.2))
     cell.at(jaw_at(0.02))
-    cell.fix("fingers", np.array([0.5, 0.5, 0, 0]))
+    cell.fix(fingers=np.array([0.5, 0.5, 0, 0]))
     start = cell.q
     cell.want(start + [0, 0, -0.5, 0, 0, 0])
     cell.advance(0.3)
