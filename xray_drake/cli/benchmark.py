@@ -28,12 +28,13 @@ from xray_drake.station.scenario import Scenario
 
 def run(
     out: Path,
-    name: str,
+    scenario: str,
     overrides: Mapping[str, Any],
     *,
     policies: str,
     occupancy: str,
-    seeds: Sequence[int],
+    heaps: int,
+    seed: int,
     workers: int,
     resume: bool,
     mix: bool,
@@ -42,12 +43,13 @@ def run(
 
     Args:
         out: folder of the records.
-        name: of a scenario, or a YAML file.
+        scenario: a name, or a YAML file.
         overrides: see :func:`xray_drake.cli.options.overrides`.
         policies: names with commas between.
         occupancy: what infers the distribution, with commas between, or ""
             for the scenario's.
-        seeds: one heap each.
+        heaps: how many.
+        seed: of the first; then one by one.
         workers: processes.
         resume: go on with what the folder holds.
         mix: even with what other code has made.
@@ -58,25 +60,26 @@ def run(
         OSError: it cannot be written.
         RuntimeError: a worker failed.
     """
-    scenario, compared = _plan(
-        name, overrides, names_in(policies), names_in(occupancy), seeds[-1]
+    seeds = range(seed, seed + heaps)
+    configured, compared = _plan(
+        scenario, overrides, names_in(policies), names_in(occupancy), seeds[-1]
     )
-    target = scenario.scene.target
+    target = configured.scene.target
     wanted = {(v, (target, seed)) for v in compared for seed in seeds}
     if not resume and read_rollouts(out):
         raise ValueError(
             f"{out} holds rollouts: leave out --no-resume to go on with them, "
             "or choose another --out"
         )
-    already = {_key(r) for r in begun(out, scenario, compared, mix=mix)}
-    if scenario.scene.meshes:
+    already = {_key(r) for r in begun(out, configured, compared, mix=mix)}
+    if configured.scene.meshes:
         # Decomposed once, by all processes together; workers find the cache.
-        imported_objects(scenario, workers=workers)
+        imported_objects(configured, workers=workers)
     with counting_bar(Console(), "rollouts", transient=False) as progress:
         done = len(wanted & already)
         progress(done, len(wanted))
         for _ in run_rollouts(
-            scenario,
+            configured,
             variants=compared,
             seeds=seeds,
             folder=out,
@@ -87,7 +90,7 @@ def run(
             progress(done, len(wanted))
     records = [r for r in read_rollouts(out) if _key(r) in wanted]
     try:
-        found = Collection(records, scenario.name, changes(scenario))
+        found = Collection(records, configured.name, changes(configured))
         lines = success_table(make_report(found))
     except ValueError as error:  # done, though all targets were in view
         lines = [str(error)]

@@ -1,13 +1,11 @@
 """``xray-drake evaluate``."""
 
-import errno
 import json as json_format
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -22,14 +20,13 @@ from xray_drake.cli.options import (
     OfTargets,
     Seed,
 )
-from xray_drake.cli.outputs import check_picture
+from xray_drake.cli.outputs import check_outputs
 from xray_drake.cli.progress import counting_bar
 from xray_drake.dataset.manifest import read_manifest
 from xray_drake.files import sole_writer, write_whole_file
 from xray_drake.provenance import Run, current, describe, record_run
 
 if TYPE_CHECKING:
-    from xray_drake.dataset.reader import OccupancyDataset
     from xray_drake.dataset.sample import Sample
     from xray_drake.training.evaluation import Predictor
 
@@ -139,7 +136,7 @@ def occupancy(
     Intervals are 95 % bootstraps over heaps. The camera's errors and the noise
     change what inference sees; the labels stay.
     """
-    _check_outputs(json, figure)
+    check_outputs(json, picture=figure)
     files, used = weights or [], dtype or DTYPES[0]
     predictors = _predictors(
         files,
@@ -151,18 +148,16 @@ def occupancy(
 
     from xray_drake.dataset.augmentation import DepthNoise
     from xray_drake.dataset.reader import OccupancyDataset
+    from xray_drake.seeding import stream
     from xray_drake.training.disturbance import Disturbance
 
-    disturb = Disturbance(
-        noise=DepthNoise() if noise else None,
-        height_offset=height_offset,
-        focal_error=focal_error,
-        seed=seed,
-    )
+    sensor = DepthNoise() if noise else None
+    disturb = Disturbance(sensor, height_offset, focal_error, seed)
     data = OccupancyDataset(
         dataset, split=split, targets=target or None, incomplete=incomplete
     )
     made_by = current(weights=files, dtype=used if files else "")
+    manifest = read_manifest(dataset)
     settings = {
         "dataset": str(dataset),
         "split": split,
@@ -173,20 +168,35 @@ def occupancy(
         "height_offset": height_offset,
         "focal_error": focal_error,
         "seed": seed,
+        "fingerprint": manifest.fingerprint(),
     }
-    manifest = read_manifest(dataset)
-    run = Run(
-        "evaluate",
-        made_by,
-        manifest.scenario,
-        [seed],
-        {**settings, "fingerprint": manifest.fingerprint()},
-    )
-    samples = [
-        partial(_disturbed, data, index, disturb)
-        for index in _draw(len(data), images, seed)
+    run = Run("evaluate", made_by, manifest.scenario, [seed], settings)
+
+    def sample(index: int) -> "Sample":
+        return disturb(data.sample(index))
+
+    drawn = stream(seed, "evaluate").permutation(len(data))[:images]
+    samples = [partial(sample, index) for index in sorted(drawn.tolist())]
+    with _recorded(run, json, figure):
+        ious = _evaluate(samples, predictors, run, json)
+        if figure is not None:
+            _draw_figure(samples, predictors, ious, figure, examples, worst)
+
+
+@contextmanager
+def _recorded(run: Run, *paths: Path | None) -> Iterator[None]:
+    """Writes files alone, a manifest beside each; a pipe takes none."""
+    written = [
+        path
+        for path in paths
+        if path is not None and (path.is_file() or not path.exists())
     ]
-    _write(samples, predictors, run, settings, json, figure, examples, worst)
+    with ExitStack() as stack:
+        for path in written:
+            stack.enter_context(sole_writer(path))
+        yield
+        for path in written:
+            record_run(path, run)
 
 
 def _asked(
@@ -202,56 +212,29 @@ def _asked(
     return [name for name, also in asked.items() if also]
 
 
-def _write(
-    samples: Sequence[Callable[[], "Sample"]],
-    predictors: Mapping[str, "Predictor"],
-    run: Run,
-    settings: Mapping[str, Any],
-    json: Path | None,
-    figure: Path | None,
-    examples: int,
-    worst: bool,
-) -> None:
-    """Evaluates and writes the files, with a manifest beside each."""
-    with ExitStack() as stack:
-        # A pipe takes no manifest.
-        written = [
-            path
-            for path in (json, figure)
-            if path is not None and (path.is_file() or not path.exists())
-        ]
-        for path in written:
-            stack.enter_context(sole_writer(path))
-        ious = _evaluate(samples, predictors, run, settings, json)
-        if figure is not None:
-            _draw_figure(samples, predictors, ious, figure, examples, worst)
-        for path in written:
-            record_run(path, run)
-
-
-def _disturbed(
-    data: "OccupancyDataset",
-    index: int,
-    disturb: Callable[["Sample"], "Sample"],
-) -> "Sample":
-    return disturb(data.sample(index))
-
-
 def _evaluate(
     samples: Sequence[Callable[[], "Sample"]],
     predictors: Mapping[str, "Predictor"],
     run: Run,
-    settings: Mapping[str, Any],
     json: Path | None,
 ) -> dict[str, list[float]]:
     """Prints and writes the results; returns the IoU of each image."""
     from xray_drake.training.evaluation import evaluate, markdown_table
 
     (seed,) = run.seeds
-    results = evaluate(_with_progress(samples), predictors, seed=seed)
+    with counting_bar(Console(stderr=True), "images") as progress:
+
+        def told() -> Iterator["Sample"]:
+            for done, sample in enumerate(samples, 1):
+                yield sample()
+                progress(done, len(samples))
+
+        results = evaluate(told(), predictors, seed=seed)
     typer.echo(markdown_table(results))
     typer.echo(f"\n{describe([run.provenance], seeds=run.seeds)}")
     if json is not None:
+        settings = dict(run.settings)
+        del settings["fingerprint"]
         report = {
             **settings,
             "provenance": run.provenance.to_dict(),
@@ -288,36 +271,12 @@ def _draw_figure(
     found = []
     for i in drawn:
         sample = samples[i]()
-        found.append(
-            Example(
-                sample=sample,
-                predictions={n: ask(sample) for n, ask in predictors.items()},
-                ious={name: values[i] for name, values in ious.items()},
-            )
-        )
+        predictions = {name: ask(sample) for name, ask in predictors.items()}
+        own = {name: values[i] for name, values in ious.items()}
+        found.append(Example(sample, predictions, own))
     kind = path.suffix.removeprefix(".").lower()
     prediction_figure(found).savefig(path, format=kind)
     typer.echo(f"wrote {path}")
-
-
-def _check_outputs(json: Path | None, figure: Path | None) -> None:
-    """Finds out before the work is done that its result has no place.
-
-    Raises:
-        ValueError: a figure's name does not end as a picture's.
-        OSError: a folder does not exist, or the file is a folder.
-    """
-    check_picture(figure)
-    for path in (json, figure):
-        if path is None:
-            continue
-        if path.is_dir():
-            number = errno.EISDIR
-        elif not path.absolute().parent.is_dir():
-            number = errno.ENOENT
-        else:
-            continue
-        raise OSError(number, os.strerror(number), str(path))
 
 
 def _predictors(
@@ -359,20 +318,3 @@ def _predictors(
         for name, path in named.items()
     }
     return found | {name: predictor(name) for name in without_network}
-
-
-def _draw(total: int, images: int | None, seed: int) -> list[int]:
-    """Returns the indices of the images, in the dataset's order."""
-    from xray_drake.seeding import stream
-
-    order = stream(seed, "evaluate").permutation(total)[:images]
-    return sorted(order.tolist())
-
-
-def _with_progress(
-    samples: Sequence[Callable[[], "Sample"]],
-) -> Iterator["Sample"]:
-    with counting_bar(Console(stderr=True), "images") as progress:
-        for done, sample in enumerate(samples, 1):
-            yield sample()
-            progress(done, len(samples))

@@ -39,10 +39,10 @@ HELD_OUT = 0.1
 
 def run(
     out: Path,
-    name: str,
+    scenario: str,
     overrides: Mapping[str, Any],
     *,
-    targets: str,
+    target: str,
     split: str,
     images: int,
     workers: int,
@@ -55,9 +55,9 @@ def run(
 
     Args:
         out: folder of the dataset.
-        name: of a scenario, or a YAML file.
+        scenario: a name, or a YAML file.
         overrides: see :func:`xray_drake.cli.options.overrides`.
-        targets: names with commas, "all" for the ten boxes, or "" for the
+        target: names with commas, "all" for the ten boxes, or "" for the
             scenario's.
         split: train, validation, test or all.
         images: how many.
@@ -72,11 +72,11 @@ def run(
         OSError: a file that cannot be written.
         RuntimeError: a shard could not be made.
     """
-    scenario = configure(name, overrides, searched=False)
+    configured = configure(scenario, overrides, searched=False)
     manifest = plan_dataset(
-        scenario,
+        configured,
         splits=_splits(split, images),
-        targets=_targets(targets),
+        targets=_targets(target),
         **plan,
     )
     out.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ def run(
     with sole_writer(out):
         if resume:
             manifest = _taken_up(out, manifest, mix)
-        _generate(out, scenario, manifest, make, workers, resume)
+        _generate(out, configured, manifest, make, workers, resume)
 
 
 def _targets(text: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from xray_drake.cli.configure import configure
-from xray_drake.cli.outputs import check_output
+from xray_drake.cli.outputs import check_outputs
 from xray_drake.cli.progress import progress_bar
 from xray_drake.drawing.meshcat_layers import start_meshcat
 from xray_drake.inspector.page import InspectorPage
@@ -59,7 +59,7 @@ def inspect_heap(
         RuntimeError: no heap came to rest.
     """
     configured = configure(scenario, overrides)
-    check_output(options.html)
+    check_outputs(options.html)
     with progress_bar(Console(), "dropping the heap") as progress:
         heap = make_heap(configured, progress=progress)
     _show(first_decision(configured, heap), options)
@@ -88,7 +88,7 @@ def inspect_rollout(
         RuntimeError: the simulation failed.
     """
     rollout = load_rollout(path, index=index, policy=policy, seed=seed)
-    check_output(options.html)
+    check_outputs(options.html)
     actions = len(rollout.record["actions"])
     if options.step > actions + 1:
         raise ValueError(

@@ -3,6 +3,9 @@
 import faulthandler
 import logging
 import sys
+from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -76,9 +79,27 @@ def _main(
     )
 
 
+def _runs(module: str) -> Callable:
+    """Gives a command the body of ``cli.MODULE.run``; the status that it ends.
+
+    Drake takes a second to import: not for --help and --version.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        @errors_as_lines()
+        def job(**options: Any) -> None:
+            run = import_module(f"xray_drake.cli.{module}").run
+            raise typer.Exit(run(**options) or 0)
+
+        return job
+
+    return decorate
+
+
 @app.command()
 @replacing("policy", "seed", "occupancy", "target_first", *CELL)
-@errors_as_lines()
+@_runs("search")
 def search(
     overrides: dict[str, Any],
     scenario: ScenarioName = "demo",
@@ -107,23 +128,11 @@ def search(
 
     The scenario decides what an option leaves out.
     """
-    # Drake takes a second to import: not for --help and --version.
-    from xray_drake.cli.search import run
-
-    code = run(
-        scenario,
-        overrides,
-        json=json,
-        html=html,
-        film_strip=film_strip,
-        live=meshcat,
-    )
-    raise typer.Exit(code)
 
 
 @app.command()
 @replacing("target_first", *CELL)
-@errors_as_lines()
+@_runs("benchmark")
 def benchmark(
     overrides: dict[str, Any],
     out: Annotated[
@@ -159,24 +168,11 @@ def benchmark(
 
     The scenario decides what an option leaves out.
     """
-    from xray_drake.cli.benchmark import run
-
-    run(
-        out,
-        scenario,
-        overrides,
-        policies=policies,
-        occupancy=occupancy,
-        seeds=range(seed, seed + heaps),
-        workers=workers,
-        resume=resume,
-        mix=mix,
-    )
 
 
 @app.command()
 @replacing("num_objects", "meshes", "scale")
-@errors_as_lines()
+@_runs("generate")
 def generate(
     overrides: dict[str, Any],
     out: Annotated[
@@ -232,34 +228,12 @@ def generate(
     mix: Mix = False,
 ) -> None:
     """Make a dataset of labelled images."""
-    from xray_drake.cli.generate import run
-
-    run(
-        out,
-        scenario,
-        overrides,
-        targets=target,
-        split=split,
-        images=images,
-        workers=workers,
-        cluster=cluster,
-        resume=resume,
-        mix=mix,
-        seed=seed,
-        views_per_heap=views_per_heap,
-        snapshots=snapshots,
-        shard_size=shard_size,
-        color=color,
-        label=label,
-    )
 
 
 @app.command()
+@_runs("doctor")
 def doctor() -> None:
     """Say what this machine lacks, and the command that mends it."""
-    from xray_drake.cli.doctor import run
-
-    raise typer.Exit(run())
 
 
 app.command()(report)

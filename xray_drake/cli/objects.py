@@ -130,7 +130,9 @@ def show(
             for row in rows
             for i in range(columns)
         ]
-    models = _built(shown)
+    from xray_drake.scene.library import make_object
+
+    models = [None if name is None else make_object(name) for name in shown]
     if out is not None or not meshcat:
         _write_sheet(models, out or Path("objects.png"), columns, size)
     if meshcat:
@@ -169,10 +171,15 @@ def export(
     chosen = choose(names, split, family, packaged)
     out.mkdir(parents=True, exist_ok=True)
     from xray_drake.scene.library import make_object
+    from xray_drake.scene.sdf import write_sdf
 
     with counting_bar(Console(stderr=True), "objects") as progress:
         for done, name in enumerate(chosen, 1):
-            _export(make_object(name), out, format)
+            model = make_object(name)
+            if format == "sdf":
+                write_sdf(model, out)
+            else:
+                model.visual.export(out / f"{name}.obj")
             progress(done, len(chosen))
     typer.echo(f"{len(chosen)} objects in {out}")
 
@@ -195,39 +202,25 @@ def choose(
     Raises:
         ValueError: something that does not exist, or nothing chosen.
     """
-    from xray_drake.scene.library import (
-        make_object,
-        object_names,
-        split_of,
-    )
+    from xray_drake.scene.library import object_names, split_of
 
-    if split is not None and split not in SPLITS:
-        raise ValueError(
-            f"no split is called {split!r}; there are {', '.join(SPLITS)}"
-        )
     splits = SPLITS if split is None and (names or families) else (split,)
     pool = [
         name
         for one in splits
         for name in object_names(*families or (), split=one, packaged=packaged)
     ]
-    if not names:
-        if not pool:
-            raise ValueError(f"no object of the split {split} is in there")
-        return pool
+    if not names and not pool:
+        raise ValueError(f"no object of the split {split} is in there")
     chosen: dict[str, None] = {}
-    for pattern in names:
+    for pattern in names or pool:
+        found = [pattern]
         if any(sign in pattern for sign in "*?["):
             found = [name for name in pool if fnmatchcase(name, pattern)]
             if not found:
                 raise ValueError(f"no object is called like {pattern!r}")
-        else:
-            make_object(pattern)
-            if split not in (None, split_of(pattern)):
-                raise ValueError(
-                    f"{pattern!r} is of the split {split_of(pattern)}"
-                )
-            found = [pattern]
+        elif split not in (None, own := split_of(pattern)):
+            raise ValueError(f"{pattern!r} is of the split {own}")
         chosen.update(dict.fromkeys(found))
     return list(chosen)
 
@@ -252,12 +245,6 @@ def _family_of(name: str) -> str:
     return name.removesuffix(PACKAGED).rpartition("_")[0]
 
 
-def _built(names: Sequence[str | None]) -> list["ObjectModel | None"]:
-    from xray_drake.scene.library import make_object
-
-    return [None if name is None else make_object(name) for name in names]
-
-
 def _write_sheet(
     models: Sequence["ObjectModel | None"],
     path: Path,
@@ -280,31 +267,17 @@ def _write_sheet(
         )
     _, data = cv2.imencode(".png", sheet[..., ::-1])
     path.write_bytes(data.tobytes())
-    typer.echo(f"{_count(models)} objects in {path}")
-
-
-def _count(models: Sequence["ObjectModel | None"]) -> int:
-    return sum(model is not None for model in models)
-
-
-def _export(model: "ObjectModel", folder: Path, format: str) -> None:
-    if format == "sdf":
-        from xray_drake.scene.sdf import write_sdf
-
-        write_sdf(model, folder)
-        return
-    model.visual.export(folder / f"{model.name}.obj")
+    typer.echo(f"{len(models) - models.count(None)} objects in {path}")
 
 
 def _serve(models: Sequence["ObjectModel | None"], columns: int) -> None:
     """Shows objects on a grid until Ctrl-C."""
-    import time
-
     import numpy as np
     from pydrake.geometry import Rgba
     from pydrake.math import RigidTransform
 
     from xray_drake.drawing.meshcat_layers import start_meshcat
+    from xray_drake.inspector.controls import Controls
     from xray_drake.scene.object_model import shaded
 
     meshcat = start_meshcat()
@@ -312,32 +285,14 @@ def _serve(models: Sequence["ObjectModel | None"], columns: int) -> None:
         if model is None:
             continue
         row, column = divmod(i, columns)
-        mesh = shaded(model.visual)
-        path = f"objects/{model.name}"
-        meshcat.SetTriangleMesh(
-            path,
-            np.asarray(mesh.vertices).T,
-            np.asarray(mesh.faces).T,
-            Rgba(*model.color),
-        )
-        meshcat.SetTransform(
-            path,
-            RigidTransform(
-                [
-                    column * GRID_PITCH,
-                    -row * GRID_PITCH,
-                    -float(model.visual.bounds[0, 2]),
-                ]
-            ),
-        )
+        mesh, rgba = shaded(model.visual), Rgba(*model.color)
+        path, bottom = f"objects/{model.name}", model.visual.bounds[0, 2]
+        meshcat.SetTriangleMesh(path, mesh.vertices.T, mesh.faces.T, rgba)
+        place = [column * GRID_PITCH, -row * GRID_PITCH, -bottom]
+        meshcat.SetTransform(path, RigidTransform(place))
     width = min(columns, len(models)) * GRID_PITCH
     middle = np.array([width / 2, -len(models) / columns * GRID_PITCH / 2, 0])
     meshcat.SetCameraPose(middle + (0, -width, 0.8 * width), middle)
-    typer.echo(
-        f"{_count(models)} objects at {meshcat.web_url()}; Ctrl-C ends it"
-    )
-    try:
-        while True:
-            time.sleep(0.2)
-    except KeyboardInterrupt:
-        return
+    number = len(models) - models.count(None)
+    typer.echo(f"{number} objects at {meshcat.web_url()}; Ctrl-C ends it")
+    Controls(meshcat).serve(lambda: False)

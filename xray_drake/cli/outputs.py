@@ -21,21 +21,26 @@ def check_picture(path: Path | None) -> None:
         )
 
 
-def check_output(path: Path | None) -> None:
-    """Checks that a file can be written.
+def check_outputs(*paths: Path | None, picture: Path | None = None) -> None:
+    """Checks that files can be written.
 
     Args:
-        path: of the file; None for none.
+        *paths: of the files; None for none.
+        picture: of one more, that is a picture.
 
     Raises:
-        ValueError: it is a folder, or in none.
+        ValueError: one is a folder, or in none, or see :func:`check_picture`.
     """
-    if path is not None and path.is_dir():
-        raise ValueError(
-            f"cannot write {path}: it is a folder; name a file in it"
-        )
-    if path is not None and not path.absolute().parent.is_dir():
-        raise ValueError(
-            f"cannot write {path}: the folder "
-            f"{path.absolute().parent} does not exist"
-        )
+    check_picture(picture)
+    for path in (*paths, picture):
+        if path is None:
+            continue
+        if path.is_dir():
+            raise ValueError(
+                f"cannot write {path}: it is a folder; name a file in it"
+            )
+        folder = path.absolute().parent
+        if not folder.is_dir():
+            raise ValueError(
+                f"cannot write {path}: the folder {folder} does not exist"
+            )

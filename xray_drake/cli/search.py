@@ -11,7 +11,7 @@ from rich.table import Table
 
 from xray_drake.cli.configure import configure
 from xray_drake.cli.exits import INTERRUPTED
-from xray_drake.cli.outputs import check_output, check_picture
+from xray_drake.cli.outputs import check_outputs
 from xray_drake.cli.progress import progress_bar
 from xray_drake.drawing.meshcat_layers import look_at_bin, start_meshcat
 from xray_drake.inspector.film_strip import FilmStrip
@@ -68,57 +68,53 @@ class _Narrator:
 
 
 def run(
-    name: str,
+    scenario: str,
     overrides: Mapping[str, Any],
     *,
     json: Path | None,
     html: Path | None,
     film_strip: Path | None,
-    live: bool,
+    meshcat: bool,
 ) -> int:
     """Runs the search and returns the exit status.
 
     Args:
-        name: of a scenario, or a YAML file.
+        scenario: a name, or a YAML file.
         overrides: see :func:`xray_drake.cli.options.overrides`.
         json: file for the record.
         html: file for a page that plays the search.
         film_strip: file for a picture of each decision.
-        live: show it on a page with buttons.
+        meshcat: show it live, on a page with buttons.
 
     Raises:
         ValueError: bad input.
         OSError: a file that cannot be written.
         RuntimeError: the simulation failed, or no heap came to rest.
     """
-    scenario = configure(name, overrides)
-    check_picture(film_strip)
-    for path in (json, html, film_strip):
-        check_output(path)
-    if live:
+    configured = configure(scenario, overrides)
+    check_outputs(json, html, picture=film_strip)
+    if meshcat:
         for option, path in (("--html", html), ("--film-strip", film_strip)):
             if path is not None:
                 raise ValueError(
                     f"{option} records a search from end to end: leave out "
                     "--meshcat"
                 )
-        _run_live(scenario, json)
+        _run_live(configured, json)
         return 0
     film = FilmStrip()
     observers = (_Narrator(), film) if film_strip else (_Narrator(),)
-    heap = _drop(scenario)
+    heap = _drop(configured)
+    diagram = build_search_diagram(
+        configured, heap=heap, meshcat=start_meshcat() if html else None
+    )
     if html is None:
-        diagram = build_search_diagram(scenario, heap=heap)
         record = run_search(diagram, observers=observers)
     else:
-        diagram = build_search_diagram(
-            scenario, heap=heap, meshcat=start_meshcat()
-        )
-        record, meshcat = record_search(diagram, observers=observers)
+        record, page = record_search(diagram, observers=observers)
+        write_html(page, html)
     if json is not None:
         write_record(record, json)
-    if html is not None:
-        write_html(meshcat, html)
     if film_strip is not None and film.snapshots:
         film.write(film_strip)
     _summarize(record, [json, html, film_strip])
