@@ -1,5 +1,8 @@
 """Geometric inference of flat targets against brute force, and the laws."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,8 +11,14 @@ from hypothesis import strategies as st
 
 from tests.masks import iou
 from tests.occupancy.brute_force import brute_force, render
-from tests.occupancy.inferences import TALL, inference_of, label_inference
+from tests.occupancy.inferences import (
+    TALL,
+    inference_of,
+    label_inference,
+    resting_inference,
+)
 from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
+from xray_drake.choices import TARGET_NAMES
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.occupancy.exact import ExactInference
@@ -23,137 +32,119 @@ NOTHING = np.zeros((384, 512), dtype=bool)
 COARSE = GeometricConfig(rotations=16, seen_step=0.012)
 
 
-def wedge() -> ObjectModel:
-    """Half a turn does not bring it back onto itself."""
-    base = [[-0.025, -0.02, 0.0], [0.035, -0.02, 0.0], [-0.01, 0.03, 0.0]]
-    piece = trimesh.convex.convex_hull(
-        np.vstack([base, np.add(base, [0.0, 0.0, 0.006])])
-    )
-    return object_from_pieces("wedge", [piece], density=600.0)
-
-
-def target_of(name: str) -> ObjectModel:
-    return wedge() if name == "wedge" else target_model(name)
+_BASE = [[-0.025, -0.02, 0.0], [0.035, -0.02, 0.0], [-0.01, 0.03, 0.0]]
+_PIECES = {
+    # Half a turn does not bring it back onto itself.
+    "wedge": trimesh.convex.convex_hull(
+        np.vstack([_BASE, np.add(_BASE, [0.0, 0.0, 0.006])])
+    ),
+    # Its hole shows the floor.
+    "ring": trimesh.creation.annulus(r_min=0.018, r_max=0.03, height=0.006),
+}
+TARGETS = {
+    name: object_from_pieces(name, [piece], density=600.0, recenter=False)
+    for name, piece in _PIECES.items()
+} | {name: target_model(name) for name in TARGET_NAMES}
 
 
 def amodal_mask(mesh: trimesh.Trimesh, camera: PinholeCamera) -> np.ndarray:
     return project_mesh_mask(mesh.vertices, mesh.faces, np.eye(4), camera)
 
 
-def lattice_poses(
-    inference: GeometricInference, center: np.ndarray, reach: float
-) -> np.ndarray:
-    """Returns the (n, 3) candidates of a hidden target around a place."""
-    cell = inference.config.cell
-    steps = np.arange(-int(reach / cell), int(reach / cell) + 1)
-    middle = np.rint(center / cell)
-    x, y, angle = np.meshgrid(
-        (steps + middle[0]) * cell,
-        (steps + middle[1]) * cell,
-        inference.poses.angles,
-        indexing="ij",
-    )
-    return np.stack([x, y, angle], axis=-1).reshape(-1, 3)
-
-
-def pixel_poses(
+def candidates(
     inference: GeometricInference,
+    target: ObjectModel,
     mask: np.ndarray,
     camera: PinholeCamera,
-    extents: np.ndarray,
+    center: np.ndarray,
 ) -> np.ndarray:
-    """Returns the (n, 3) candidates of a target that is seen."""
-    v, u = np.nonzero(mask)
-    reach = int(0.25 * np.hypot(*extents[:2]) / 0.00125)
-    around = (
-        slice(v.min() - reach, v.max() + reach + 1),
-        slice(u.min() - reach, u.max() + reach + 1),
-    )
-    plane = camera.unproject(camera.plane_depth(extents[2] / 2))
-    xy = plane[around].reshape(-1, 3)[:, :2]
-    return np.concatenate(
-        [
-            np.column_stack([xy, np.full(len(xy), angle)])
-            for angle in inference.poses.seen_angles
+    """Returns the (n, 3) candidates: about the mask, or within 45 mm."""
+    if mask.any():
+        v, u = np.nonzero(mask)
+        reach = int(0.25 * np.hypot(*target.extents[:2]) / 0.00125)
+        plane = camera.unproject(camera.plane_depth(target.extents[2] / 2))
+        near = plane[
+            v.min() - reach : v.max() + reach + 1,
+            u.min() - reach : u.max() + reach + 1,
         ]
+        xy = near[..., :2].reshape(-1, 2)
+        angles = inference.poses.seen_angles
+    else:
+        cell = inference.config.cell
+        steps = np.indices((71, 71)).reshape(2, -1).T - 35
+        xy = cell * (np.rint(center / cell) + steps)
+        angles = inference.poses.angles
+    return np.column_stack(
+        [np.tile(xy, (len(angles), 1)), np.repeat(angles, len(xy))]
     )
 
 
-# Each camera and each kind of silhouette.
-AGREEMENT = [
-    ("box_2to1", "high", 1),
-    ("wedge", "tilted", 0),
-    ("box_5to1", "rolled", 1),
-    ("box_10to1", "low", 1),
-    ("lid", "tilted", 1),
-    ("flute", "nominal", 1),
-]
-
-
-@pytest.mark.parametrize(("name", "view", "seed"), AGREEMENT)
-def test_hidden_support_agrees_with_brute_force(
-    name: str, view: str, seed: int
-) -> None:
-    target = target_of(name)
-    camera = CAMERAS[view]
-    rng = np.random.default_rng(seed)
+def scene_of(
+    target: ObjectModel, rng: np.random.Generator, *, hidden: bool
+) -> tuple[list[trimesh.Trimesh], np.ndarray]:
+    """Returns what lies there, a seen target first, and the target's place."""
     center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
-    angle = rng.uniform(0, np.pi)
-    # A rectangle over a wedge has room to spare.
-    margin = 0.008 if name == "wedge" else 0.02
-    plate = cover(target.visual, *center, angle, margin=margin)
-    height = target.extents[2] + 0.002
-    others = occluders(rng, 2, center, 0.02, height)
-    # What is lower than the target does not hide it.
-    low = trimesh.creation.box([0.09, 0.09, 0.7 * target.extents[2]])
-    aside = center - [0.14 * np.sign(center[0]), 0.0]
-    low.apply_translation([*aside, 0.35 * target.extents[2]])
-    depth, _ = render(camera, [plate, low, *others])
-    inference = GeometricInference(target, COARSE)
-    result = inference.infer(depth, NOTHING, camera)
-
-    poses = lattice_poses(inference, center, 0.045)
-    expected = brute_force(
-        [target.visual], [poses], COARSE, depth, NOTHING, camera
-    )
-    # All that is accepted is among the poses the reference was given.
-    assert np.count_nonzero(expected) > 500
-    assert iou(result.support(), expected > 0) >= 0.98
-    either = result.support() | (expected > 0)
-    assert np.abs(result.data - expected)[either].mean() <= 0.025
-
-
-@pytest.mark.parametrize(("name", "view", "seed"), AGREEMENT)
-def test_seen_support_agrees_with_brute_force(
-    name: str, view: str, seed: int
-) -> None:
-    target = target_of(name)
-    camera = CAMERAS[view]
-    rng = np.random.default_rng(seed)
-    center = rng.uniform([-0.12, -0.08], [0.12, 0.08])
-    angle = rng.uniform(0, 2 * np.pi)
-    mesh = lying(target.visual, *center, angle)
+    angle = rng.uniform(0, np.pi if hidden else 2 * np.pi)
+    length, _, height = target.extents
+    if hidden:
+        # A rectangle over a wedge has room to spare.
+        margin = 0.008 if target.name == "wedge" else 0.02
+        plate = cover(target.visual, *center, angle, margin=margin)
+        others = occluders(rng, 2, center, 0.02, height + 0.002)
+        # What is lower than the target does not hide it.
+        low = trimesh.creation.box([0.09, 0.09, 0.7 * height])
+        aside = center - [0.14 * np.sign(center[0]), 0.0]
+        low.apply_translation([*aside, 0.35 * height])
+        return [plate, low, *others], center
     # One box over an end leaves some 30 to 60 % to be seen.
-    side = 0.5 * target.extents[0]
-    block = trimesh.creation.box([side, 0.08, 0.03])
-    X_WB = trimesh.transformations.rotation_matrix(angle + 0.3, [0, 0, 1])
     along = np.array([np.cos(angle), np.sin(angle)])
-    X_WB[:2, 3] = center + 0.5 * side * along
-    X_WB[2, 3] = 0.035
-    block.apply_transform(X_WB)
-    depth, label = render(camera, [mesh, block])
-    mask = label == 0
-    seen = np.count_nonzero(mask) / np.count_nonzero(amodal_mask(mesh, camera))
-    assert 0.25 < seen < 0.7
+    block = trimesh.creation.box([0.5 * length, 0.08, 0.03])
+    block = lying(block, *(center + 0.25 * length * along), angle + 0.3)
+    block.apply_translation([0, 0, 0.02])
+    return [lying(target.visual, *center, angle), block], center
+
+
+@pytest.mark.parametrize("hidden", [False, True], ids=["seen", "hidden"])
+@pytest.mark.parametrize(
+    ("name", "view", "seed"),
+    [
+        ("box_2to1", "high", 1),
+        ("wedge", "tilted", 0),
+        ("box_5to1", "rolled", 1),
+        ("box_10to1", "low", 1),
+        ("lid", "tilted", 1),
+        ("flute", "nominal", 1),
+        ("ring", "tilted", 0),
+    ],
+)
+def test_support_agrees_with_brute_force(
+    name: str, view: str, seed: int, hidden: bool
+) -> None:
+    """Each camera and each kind of silhouette."""
+    target, camera = TARGETS[name], CAMERAS[view]
+    meshes, center = scene_of(
+        target, np.random.default_rng(seed), hidden=hidden
+    )
+    depth, label = render(camera, meshes)
+    mask = (label == 0) & (not hidden)
+    if not hidden:
+        amodal = np.count_nonzero(amodal_mask(meshes[0], camera))
+        assert 0.25 < np.count_nonzero(mask) / amodal < 0.7
     inference = GeometricInference(target, COARSE)
     result = inference.infer(depth, mask, camera)
 
-    poses = pixel_poses(inference, mask, camera, target.extents)
+    poses = candidates(inference, target, mask, camera, center)
     expected = brute_force(
         [target.visual], [poses], COARSE, depth, mask, camera
     )
+    # All that is accepted is among the poses the reference was given.
+    assert np.count_nonzero(expected) > 300
     assert iou(result.support(), expected > 0) >= 0.98
-    assert np.count_nonzero(result.support() & mask) >= 0.95 * mask.sum()
+    either = result.support() | (expected > 0)
+    if hidden:
+        assert np.abs(result.data - expected)[either].mean() <= 0.025
+    else:
+        assert np.count_nonzero(result.support() & mask) >= 0.95 * mask.sum()
 
 
 @pytest.mark.parametrize(
@@ -208,15 +199,14 @@ def test_pixels_without_a_reading_hide_nothing(name: str) -> None:
 
 
 def test_candidates_keep_within_the_bin() -> None:
-    target = target_model("box_2to1")
     config = GeometricConfig(floor=[-0.1, 0.1, -0.05, 0.05])
-    inference = GeometricInference(target, config)
+    inference = GeometricInference(target_model("box_2to1"), config)
     camera = CAMERAS["tilted"]
     depth = camera.plane_depth(0.05).astype(np.float32)
     support = inference.infer(depth, NOTHING, camera).support()
-    ground = camera.unproject(camera.plane_depth(0.0))
-    inside = (np.abs(ground[..., 0]) < 0.1) & (np.abs(ground[..., 1]) < 0.05)
-    nearly = (np.abs(ground[..., 0]) < 0.103) & (np.abs(ground[..., 1]) < 0.053)
+    ground = np.abs(camera.unproject(camera.plane_depth(0.0))[..., :2])
+    inside = (ground < [0.1, 0.05]).all(axis=-1)
+    nearly = (ground < [0.103, 0.053]).all(axis=-1)
     assert not (support & ~nearly).any()
     assert np.count_nonzero(support & inside) >= 0.99 * inside.sum()
 
@@ -263,26 +253,20 @@ def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
     seen: bool,
 ) -> None:
     """The floor is a rectangle, so it has to turn too."""
-    target = target_model("box_2to1")
-    camera = CAMERAS["low"]
-    quarter = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
-    turned_camera = PinholeCamera(
-        camera.width, camera.height, camera.intrinsics, quarter @ camera.X_WC
-    )
-    rng = np.random.default_rng(5)
-    scene = [
-        lying(target.visual, 0.17, 0.02, 0.4),
-        *occluders(rng, 8, np.array([0.21, 0.05]), 0.02, 0.008),
-    ]
-    if not seen:
-        scene = scene[1:]
-    turned_scene = [mesh.copy().apply_transform(quarter) for mesh in scene]
-    floors = [-0.25, 0.25, -0.20, 0.20], [-0.20, 0.20, -0.25, 0.25]
+    target, camera = target_model("box_2to1"), CAMERAS["low"]
+    place = np.array([0.21, 0.05])
+    scene = occluders(np.random.default_rng(5), 8, place, 0.02, 0.008)
+    if seen:
+        scene.insert(0, lying(target.visual, 0.17, 0.02, 0.4))
     supports = []
-    for floor, meshes, view in zip(
-        floors, (scene, turned_scene), (camera, turned_camera), strict=True
+    for angle, floor in (
+        (0.0, [-0.25, 0.25, -0.20, 0.20]),
+        (np.pi / 2, [-0.20, 0.20, -0.25, 0.25]),
     ):
-        depth, label = render(view, meshes)
+        turn = trimesh.transformations.rotation_matrix(angle, [0, 0, 1])
+        view = replace(camera, X_WC=turn @ camera.X_WC)
+        turned = [mesh.copy().apply_transform(turn) for mesh in scene]
+        depth, label = render(view, turned)
         mask = (label == 0) & seen
         assert mask.any() == seen
         inference = GeometricInference(target, GeometricConfig(floor=floor))
@@ -304,24 +288,6 @@ def test_mask_outside_the_floor_is_ignored() -> None:
     assert ignored.support_size() > 1000
 
 
-def test_target_with_a_hole() -> None:
-    """A ring whose hole shows the floor, hidden and seen."""
-    ring = trimesh.creation.annulus(r_min=0.018, r_max=0.03, height=0.006)
-    pieces = [ring]
-    target = object_from_pieces("ring", pieces, density=600.0, recenter=False)
-    inference = GeometricInference(target)
-    assert len(inference.poses.angles) < 32
-    camera = CAMERAS["tilted"]
-    mesh = lying(target.visual, 0.03, 0.02, 0.0)
-    depth, label = render(camera, [mesh])
-    result = inference.infer(depth, label == 0, camera)
-    assert iou(result.support(), label == 0) >= 0.9
-    plate = cover(target.visual, 0.03, 0.02, 0.0)
-    depth, _ = render(camera, [plate])
-    hidden = inference.infer(depth, NOTHING, camera).support()
-    assert np.count_nonzero(hidden & (label == 0)) >= 0.99 * (label == 0).sum()
-
-
 def test_what_lies_under_the_visible_part_changes_next_to_nothing() -> None:
     """So exact labels, of the scene without the target, are its answers."""
     target, camera = target_model("box_2to1"), CAMERAS["nominal"]
@@ -338,36 +304,44 @@ def test_what_lies_under_the_visible_part_changes_next_to_nothing() -> None:
     assert np.count_nonzero(without & amodal) >= 0.98 * amodal.sum()
 
 
+DEPTH = CAMERAS["nominal"].plane_depth(0.0).astype(np.float32)
+
+
 @pytest.mark.parametrize("name", ["box_2to1", "die"])
-def test_wrong_input_is_named(name: str) -> None:
-    inference, camera = inference_of(name), CAMERAS["nominal"]
-    depth, _ = render(camera, [])
-    X_WC = camera.X_WC.copy()
-    X_WC[2, 3] = 0.001
-    low = PinholeCamera(512, 384, camera.intrinsics, X_WC)
-    wrong: list[tuple[np.ndarray, np.ndarray, PinholeCamera, str]] = [
-        (depth, np.zeros((2, 3), bool), camera, r"target mask is \(2, 3\)"),
-        (depth[:4, :4], NOTHING, camera, r"depth image is \(4, 4\)"),
-        (np.full_like(depth, 0.001), NOTHING, low, "above the target"),
-    ]
-    for nothing in (0.0, np.nan, np.inf):
-        blind = np.full_like(depth, nothing)
-        wrong.append((blind, NOTHING, camera, "no reading at all"))
-    for image, mask, view, said in wrong:
-        with pytest.raises(ValueError, match=said):
-            inference.infer(image, mask, view)
+@pytest.mark.parametrize(
+    ("depth", "mask", "height", "said"),
+    [
+        (DEPTH, np.zeros((2, 3), bool), 0.8, r"target mask is \(2, 3\)"),
+        (DEPTH[:4, :4], NOTHING, 0.8, r"depth image is \(4, 4\)"),
+        (0.001 + 0 * DEPTH, NOTHING, 0.001, "above the target"),
+        (0 * DEPTH, NOTHING, 0.8, "no reading at all"),
+        (np.nan * DEPTH, NOTHING, 0.8, "no reading at all"),
+        (np.inf * DEPTH, NOTHING, 0.8, "no reading at all"),
+    ],
+)
+def test_wrong_input_is_named(
+    name: str, depth: np.ndarray, mask: np.ndarray, height: float, said: str
+) -> None:
+    camera = make_camera(radius=height)
+    with pytest.raises(ValueError, match=said):
+        inference_of(name).infer(depth, mask, camera)
 
 
-def test_wrong_numbers_are_named() -> None:
-    for poses in ("flat", "resting"):
-        with pytest.raises(ValueError, match="at least one rotation"):
-            GeometricInference(
-                TALL["die"], GeometricConfig(poses=poses, rotations=0)
-            )
-    with pytest.raises(ValueError, match=r"'upright': choose one of flat, res"):
-        GeometricInference(TALL["die"], GeometricConfig(poses="upright"))
-    with pytest.raises(ValueError, match=r"'resting': choose one of flat$"):
-        label_inference(TALL["die"], GeometricConfig(poses="resting"))
+@pytest.mark.parametrize(
+    ("infer", "config", "said"),
+    [
+        (GeometricInference, {"rotations": 0}, "at least one rotation"),
+        (GeometricInference, {"cell": 0}, "a positive cell"),
+        (resting_inference, {"rotations": 0}, "at least one rotation"),
+        (GeometricInference, {"poses": "up"}, "'up': .* of flat, resting"),
+        (label_inference, {"poses": "resting"}, "'resting': .* one of flat$"),
+    ],
+)
+def test_wrong_numbers_are_named(
+    infer: Any, config: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        infer(TALL["die"], GeometricConfig(**config))
 
 
 def test_the_old_name_is_taken_for_a_version() -> None:
