@@ -18,8 +18,6 @@ KINDS = ("hidden", "partly", "visible")
 class Sample:
     """What the label is computed from, and what it shows."""
 
-    name: str
-    tilt: float
     target_depth: np.ndarray
     scene_depth: np.ndarray
     camera: PinholeCamera
@@ -149,4 +147,4 @@ def draw_sample(seed: int) -> Sample:
         # What a detector says: a pixel here and there is wrong.
         seen = amodal & ~(depth < target_depth)
         observed = seen ^ (amodal & (rng.random(camera.shape) < 0.03))
-    return Sample(name, tilt, target_depth, depth, camera, p_WT, observed)
+    return Sample(target_depth, depth, camera, p_WT, observed)

@@ -14,8 +14,14 @@ from pydrake.common.schema import Rotation
 
 from tests.masks import iou
 from tests.occupancy.brute_force_label import brute_force_label
-from tests.occupancy.label_scenes import draw_sample
+from tests.occupancy.label_scenes import (
+    draw_sample,
+    pose_target,
+    render_target,
+)
+from tests.occupancy.scenes import CAMERAS, make_camera
 from xray_drake.dataset.pictures import Photographer
+from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
 from xray_drake.scene.cameras import nominal_camera
 from xray_drake.scene.heap import Heap
@@ -52,6 +58,49 @@ def test_agrees_where_much_is_accepted(seed: int) -> None:
     assert count > 20
     assert label.accepted.sum() == count
     np.testing.assert_array_equal(label.distribution, expected)
+
+
+@pytest.mark.parametrize(
+    ("camera", "x", "kind"),
+    [
+        pytest.param(CAMERAS["tilted"], 0.03, "covered", id="within the bin"),
+        pytest.param(
+            make_camera(focal_length=1100), 0.03, "covered", id="and the image"
+        ),
+        pytest.param(CAMERAS["nominal"], 0.28, "covered", id="beside the bin"),
+        pytest.param(CAMERAS["nominal"], 0.28, "open", id="and in full view"),
+        (CAMERAS["nominal"], 0.03, "under its own cover"),
+        (CAMERAS["nominal"], 0.03, "said to be half"),
+        (CAMERAS["nominal"], 0.03, "without readings"),
+    ],
+)
+def test_agrees_on_level_scenes(
+    camera: PinholeCamera, x: float, kind: str
+) -> None:
+    mesh, p_WT = pose_target("box_2to1", np.array([x, 0.02]), 0.4, 0, 0)
+    target = render_target(camera, mesh)
+    there, observed = np.isfinite(target), None
+    height = 0.05 if kind in ("covered", "without readings") else 0.0
+    scene = camera.plane_depth(height).astype(np.float32)
+    if kind == "under its own cover":
+        scene[there] = target[there] - np.float32(0.001)
+    if kind == "said to be half":
+        observed = there.copy()
+        observed[:, int(camera.project(p_WT)[0]) :] = False
+    if kind == "without readings":
+        scene[:, :100], scene[:, 100:200], scene[:100] = np.nan, np.inf, 0.0
+    config = LabelConfig(step=16, rotations=8)
+    inputs = target, scene, camera, p_WT
+    label = occupancy_label(*inputs, observed=observed, config=config)
+    expected, modal, count = brute_force_label(
+        *inputs, observed=observed, config=config
+    )
+    np.testing.assert_array_equal(label.distribution, expected)
+    np.testing.assert_array_equal(label.modal, modal)
+    assert label.accepted.sum() == count
+    # The true pose always counts.
+    assert (label.distribution[there] > 0).all()
+    assert (count > 20) == (height > 0)
 
 
 def only(heap: Heap, *names: str) -> Heap:

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.occupancy.learned.inputs import (
-    geometry_input,
     lengths_in_image,
     size_features,
 )
-from xray_drake.occupancy.learned.window import Window, target_window
+from xray_drake.occupancy.learned.window import target_window
 
 CAMERA = make_camera(size=(512, 384))
 
@@ -114,25 +113,3 @@ def test_a_target_that_is_not_seen_has_none() -> None:
     mask = np.zeros(CAMERA.shape, bool)
     with pytest.raises(ValueError, match="can be anywhere"):
         target_window(mask, np.zeros(5, np.float32))
-
-
-def test_what_the_network_sees_of_it_is_part_of_what_it_sees_of_all() -> None:
-    rng = np.random.default_rng(0)
-    camera = make_camera(size=(512, 384), tilt=6, azimuth=30)
-    depth = camera.plane_depth(0.0) - rng.uniform(0, 0.05, camera.shape)
-    depth = depth.astype(np.float32)
-    depth[rng.random(camera.shape) < 0.02] = 0.0
-    mask = np.zeros(camera.shape, bool)
-    mask[90:110, 100:120] = True
-    window = Window(top=68, left=40, height=96, width=128)
-    whole = geometry_input(depth, mask, camera, 0.01)
-    part = geometry_input(
-        window.of(depth),
-        window.of(mask),
-        camera.cropped(window.rows, window.columns),
-        0.01,
-    )
-    np.testing.assert_allclose(part.fine, window.of(whole.fine), atol=2e-3)
-    np.testing.assert_allclose(
-        part.coarse, window.of_coarse(whole.coarse), atol=1e-5
-    )
