@@ -48,6 +48,10 @@ freed_by_drake = pytest.mark.skipif(
 Watched = dict[str, weakref.ref]
 
 
+def watch(**things: Any) -> Watched:
+    return {name: weakref.ref(thing) for name, thing in things.items()}
+
+
 def left(watched: Watched) -> list[str]:
     """Returns what is still there."""
     gc.collect()
@@ -69,35 +73,27 @@ def trees() -> dict[str, ast.Module]:
 
 
 def test_ports_are_declared_in_one_way(trees: dict[str, ast.Module]) -> None:
-    """What keeps its system is used by the base class alone."""
+    """What keeps its system is used by the base class alone.
+
+    So does a lambda of a port that refers to its system.
+    """
     for name, tree in trees.items():
         if name == "lifetimes.py":
             continue
-        used = {n.name for n in ast.walk(tree) if isinstance(n, ast.alias)}
-        used |= {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
+        nodes = list(ast.walk(tree))
+        used = {n.name for n in nodes if isinstance(n, ast.alias)}
+        used |= {n.attr for n in nodes if isinstance(n, ast.Attribute)}
         assert not used & {"LeafSystem", "VectorSystem", "ValueProducer"}, name
-
-
-def test_no_lambda_of_a_port_refers_to_its_system(
-    trees: dict[str, ast.Module],
-) -> None:
-    for name, tree in trees.items():
-        lambdas = [
+        declared = [
             argument
-            for call in ast.walk(tree)
+            for call in nodes
             if isinstance(call, ast.Call)
-            and isinstance(call.func, ast.Attribute)
-            and call.func.attr.startswith("Declare")
+            and getattr(call.func, "attr", "").startswith("Declare")
             for argument in (*call.args, *(k.value for k in call.keywords))
             if isinstance(argument, ast.Lambda)
         ]
-        names = {
-            node.id
-            for argument in lambdas
-            for node in ast.walk(argument)
-            if isinstance(node, ast.Name)
-        }
-        assert "self" not in names, name
+        for node in (n for argument in declared for n in ast.walk(argument)):
+            assert not isinstance(node, ast.Name) or node.id != "self", name
 
 
 # The base class.
@@ -158,19 +154,21 @@ def evaluated(system: Sum) -> list[Any]:
     return results
 
 
-def test_ports_and_cache_entries_compute() -> None:
-    system = Sum()
-    assert evaluated(system) == [2.0] * 4 + [3.0] * 4
-    assert system.calls == 2
-
-
-def test_a_context_is_found_from_the_root() -> None:
+def in_a_diagram() -> dict[str, Any]:
     builder = DiagramBuilder()
     system = builder.AddSystem(Sum())
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     assert my_context(diagram, root) is root
     system.ValidateContext(my_context(system, root))
+    return {"system": system, "root": root}
+
+
+def test_ports_and_cache_entries_compute() -> None:
+    system = Sum()
+    assert evaluated(system) == [2.0] * 4 + [3.0] * 4
+    assert system.calls == 2
+    in_a_diagram()
 
 
 @freed_by_drake
@@ -178,17 +176,7 @@ def test_a_system_and_its_contexts_are_freed() -> None:
     def build() -> Watched:
         alone = Sum()
         evaluated(alone)
-        builder = DiagramBuilder()
-        system = builder.AddSystem(Sum())
-        diagram = builder.Build()
-        root = diagram.CreateDefaultContext()
-        for part in (diagram, system):
-            my_context(part, root)
-        return {
-            "alone": weakref.ref(alone),
-            "system": weakref.ref(system),
-            "root": weakref.ref(root),
-        }
+        return watch(alone=alone, **in_a_diagram())
 
     assert left(build()) == []
 
@@ -196,27 +184,48 @@ def test_a_system_and_its_contexts_are_freed() -> None:
 # The systems of the package, in searches that have them all.
 
 
-def by_truth(scenario: Scenario) -> None:
+class Idle(CollectableLeafSystem):
+    """A system of one's own; it may keep plant, objects, planner."""
+
+    def __init__(self, parts: Any) -> None:
+        super().__init__()
+        self.parts = parts
+        self.DeclareAbstractOutputPort(
+            "action", lambda: Value(SearchAction()), self._calc
+        )
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(SearchAction())
+
+
+def by_truth(scenario: Scenario) -> dict[str, Any]:
     scenario.policy.name = "oracle"
+    return {}
 
 
-def by_images(scenario: Scenario) -> None:
+def by_images(scenario: Scenario) -> dict[str, Any]:
     scenario.policy.name = "combined"
     scenario.perception.detector = "hsv"
     scenario.perception.segmenter = "depth"
     scenario.perception.noise = True
     scenario.gripper.grasps = "depth"
+    return {}
 
 
-def by_contact(scenario: Scenario) -> None:
+def by_contact(scenario: Scenario) -> dict[str, Any]:
     scenario.gripper.execution = "contact"
+    return {"meshcat": Meshcat(MeshcatParams(host="localhost"))}
 
 
-def by_agent(scenario: Scenario) -> None:
-    pass
+def by_agent(scenario: Scenario) -> dict[str, Any]:
+    return {"agent": True}
 
 
-SEARCHES: Mapping[Callable[[Scenario], None], set[str]] = {
+def by_ones_own(scenario: Scenario) -> dict[str, Any]:
+    return {"replace": {"search_policy": Idle}}
+
+
+SEARCHES: Mapping[Callable[[Scenario], dict[str, Any]], set[str]] = {
     by_truth: {
         "GroundTruthInstanceSegmenter",
         "GroundTruthTargetDetector",
@@ -235,6 +244,7 @@ SEARCHES: Mapping[Callable[[Scenario], None], set[str]] = {
     },
     by_contact: {"GripperController", "RestSensor", "SealLight", "SuctionCup"},
     by_agent: {"ChoicePolicy"},
+    by_ones_own: {"Idle"},
 }
 
 
@@ -256,29 +266,18 @@ def run(diagram: SearchDiagram) -> Watched:
     for index in range(diagram.num_output_ports()):
         diagram.get_output_port(index).Eval(context)
     parts = {type(part).__name__: part for part in parts_of(diagram)}
-    things = parts | {"monitor": monitor, "context": context}
-    return {name: weakref.ref(thing) for name, thing in things.items()}
+    return watch(**parts, monitor=monitor, context=context)
 
 
 @freed_by_drake
 @pytest.mark.parametrize("change", SEARCHES, ids=lambda change: change.__name__)
 def test_every_system_is_freed(
-    change: Callable[[Scenario], None],
+    change: Callable[[Scenario], dict[str, Any]],
     tiny_heap: Heap,
     tiny_scenario: Scenario,
 ) -> None:
-    change(tiny_scenario)
-    meshcat = None
-    if change is by_contact:
-        meshcat = Meshcat(MeshcatParams(host="localhost"))
-    watched = run(
-        build_search_diagram(
-            tiny_scenario,
-            heap=tiny_heap,
-            meshcat=meshcat,
-            agent=change is by_agent,
-        )
-    )
+    given = change(tiny_scenario)
+    watched = run(build_search_diagram(tiny_scenario, heap=tiny_heap, **given))
     assert watched.keys() >= SEARCHES[change] | {"MultibodyPlant", "SceneGraph"}
     assert left(watched) == []
 
@@ -300,32 +299,7 @@ def test_no_system_is_left_out(trees: dict[str, ast.Module]) -> None:
     while systems != found:
         found = systems
         systems = found | {n for n, b in bases.items() if b & found}
-    assert systems - abstract == set.union(*SEARCHES.values())
-
-
-@freed_by_drake
-def test_a_system_of_ones_own_is_freed(
-    tiny_heap: Heap, tiny_scenario: Scenario
-) -> None:
-    """It may keep what it is given: plant, objects, planner."""
-
-    class Idle(CollectableLeafSystem):
-        def __init__(self, parts: Any) -> None:
-            super().__init__()
-            self.parts = parts
-            self.DeclareAbstractOutputPort(
-                "action", lambda: Value(SearchAction()), self._calc
-            )
-
-        def _calc(self, context: Context, output: AbstractValue) -> None:
-            output.set_value(SearchAction())
-
-    watched = run(
-        build_search_diagram(
-            tiny_scenario, heap=tiny_heap, replace={"search_policy": Idle}
-        )
-    )
-    assert left(watched) == []
+    assert (systems - abstract) | {"Idle"} == set.union(*SEARCHES.values())
 
 
 class Watcher:
@@ -337,8 +311,7 @@ class Watcher:
     def decided(
         self, diagram: SearchDiagram, context: Context, action: SearchAction
     ) -> None:
-        things = {"diagram": diagram, "context": context}
-        self.watched |= {k: weakref.ref(v) for k, v in things.items()}
+        self.watched |= watch(diagram=diagram, context=context)
 
     def ended(self, *_: object) -> None:
         pass
@@ -365,8 +338,7 @@ def test_a_heap_is_freed(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def noted(*args: Any, **kwargs: Any) -> Any:
         plant, scene_graph = add_plant(*args, **kwargs)
-        watched["plant"] = weakref.ref(plant)
-        watched["scene_graph"] = weakref.ref(scene_graph)
+        watched.update(watch(plant=plant, scene_graph=scene_graph))
         return plant, scene_graph
 
     monkeypatch.setattr(heap_module, "add_plant", noted)
@@ -428,13 +400,11 @@ def test_an_episode_is_freed_before_the_next(
     for seed in range(2):
         act(env, seed)
         env.render()
-        things = {
-            "diagram": env.simulator.get_system(),
-            "context": env.simulator.get_context(),
-            "monitor": env.monitor,
-        }
-        watched = {k: weakref.ref(v) for k, v in things.items()}
-        del things
+        watched = watch(
+            diagram=env.simulator.get_system(),
+            context=env.simulator.get_context(),
+            monitor=env.monitor,
+        )
     assert len(left(watched)) == 3
     env.close()
     assert left(watched) == []
