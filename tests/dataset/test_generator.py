@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.dataset.whole import read_shard
 from xray_drake.dataset import generator
 from xray_drake.dataset.check import check_dataset
 from xray_drake.dataset.generator import (
@@ -16,7 +17,6 @@ from xray_drake.dataset.generator import (
 )
 from xray_drake.dataset.manifest import Manifest, write_manifest
 from xray_drake.dataset.sample import problems
-from xray_drake.dataset.shards import read_shard
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.library import make_object, object_names, split_of
 from xray_drake.splits import SPLITS

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.dataset.whole import read_shard
 from xray_drake import files
 from xray_drake.dataset.sample import Sample, encode_occupancy
 from xray_drake.dataset.shards import (
     ShardAttributes,
     ShardError,
     ShardReader,
-    read_shard,
     verify_shard,
     write_shard,
 )

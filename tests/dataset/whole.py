@@ -10,7 +10,11 @@ import numpy as np
 
 from xray_drake.dataset.manifest import Manifest, write_manifest
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import ShardAttributes, write_shard
+from xray_drake.dataset.shards import (
+    ShardAttributes,
+    ShardReader,
+    write_shard,
+)
 
 
 def bare_sample(
@@ -54,6 +58,12 @@ def flip_bit(path: Path, image: int = 0) -> None:
         chunk = file["depth"].id.get_chunk_info(image)
     data[chunk.byte_offset + chunk.size // 2] ^= 1
     path.write_bytes(data)
+
+
+def read_shard(path: Path) -> list[Sample]:
+    """Reads all samples of a shard."""
+    with ShardReader(path) as shard:
+        return [shard.sample(i) for i in range(len(shard))]
 
 
 def write_one(

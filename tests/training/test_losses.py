@@ -12,7 +12,6 @@ from xray_drake.occupancy.metrics import PixelCounts
 from xray_drake.occupancy.metrics import pixel_counts as reference
 from xray_drake.training.losses import (
     OccupancyMetrics,
-    mse_loss,
     posterior_loss,
     robust_loss,
 )
@@ -102,12 +101,6 @@ def test_missing_a_small_label_costs_more_than_its_share_of_pixels() -> None:
     empty = sure(torch.zeros(1, 64, 64))
     ratio = robust_loss(empty, large) / robust_loss(empty, small)
     assert 1 < ratio < 100  # of 256 times as many pixels
-
-
-def test_the_papers_loss_is_the_mean_square() -> None:
-    output, label = random(0), random(1)
-    expected = np.mean((output.numpy() - label.numpy()) ** 2)
-    assert mse_loss(output, label).item() == pytest.approx(float(expected))
 
 
 @given(

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from tests.dataset.conftest import synthetic_sample
-from tests.dataset.whole import flip_bit, tiny_dataset, write_dataset
+from tests.dataset.whole import (
+    flip_bit,
+    read_shard,
+    tiny_dataset,
+    write_dataset,
+)
 from xray_drake.dataset.augmentation import DepthNoise
 from xray_drake.dataset.manifest import (
     DatasetError,
@@ -17,10 +22,7 @@ from xray_drake.dataset.manifest import (
 )
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.dataset.sample import Sample
-from xray_drake.dataset.shards import (
-    ShardError,
-    read_shard,
-)
+from xray_drake.dataset.shards import ShardError
 from xray_drake.dataset.virtual import is_virtual
 from xray_drake.files import InUseError, sole_writer
 from xray_drake.occupancy.learned.inputs import (

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -172,7 +173,7 @@ def _generate(
 
         for report in make(out, manifest, missing, progress=progress):
             reports.append(report)
-            log(report.to_dict())
+            log(asdict(report))
     _summarize(out, manifest, reports, time.monotonic() - start)
 
 

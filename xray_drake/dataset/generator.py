@@ -4,10 +4,9 @@ import gc
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -72,10 +71,6 @@ class ShardReport:
     failures: tuple[str, ...]
     cpu: float
     seconds: dict[str, float] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the report as JSON takes it."""
-        return asdict(self)
 
 
 def plan_dataset(
@@ -258,17 +253,18 @@ class SampleMaker:
             sample_camera(scenario.camera, scenario.camera_sampling, rng)
             for _ in range(manifest.views_per_heap)
         ]
+        states = (*heap.growth, heap)
         with self._clock("pictures"):
-            names = {m.name: m for h in self._states(heap) for m in h.objects}
+            models = {m.name: m for state in states for m in state.objects}
             photographer = Photographer(
                 heap.target,
-                list(names.values()),
+                list(models.values()),
                 scenario.camera,
                 color=manifest.color,
             )
         return [
             self._sample(photographer, state, camera, view)
-            for state in self._states(heap)
+            for state in states
             for view, camera in enumerate(cameras)
         ]
 
@@ -278,11 +274,6 @@ class SampleMaker:
                 target, (), self._scenario.camera, bin_visible=False
             )
         return self._targets[target.name]
-
-    @staticmethod
-    def _states(heap: Heap) -> Iterator[Heap]:
-        yield from heap.growth
-        yield heap
 
     def _sample(
         self,
@@ -298,7 +289,7 @@ class SampleMaker:
             photographer.look_from(config)
             picture = photographer.take()
             alone = self._alone(target)
-            alone.place(_heap_of(target, X_WT))
+            alone.place(replace(heap, objects=(), poses={target.name: X_WT}))
             alone.look_from(config)
             target_depth = alone.depth()
         with self._clock("label"):
@@ -342,8 +333,7 @@ class SampleMaker:
             num_dropped=heap.num_dropped,
             color=picture.color,
         )
-        wrong = problems(sample)
-        if wrong:
+        if wrong := problems(sample):
             raise RuntimeError(
                 f"the sample of {sample.key} is not sound: {'; '.join(wrong)}"
             )
@@ -387,11 +377,6 @@ def split_of_imported(
             f"{split!r}: give more of them"
         )
     return chosen
-
-
-def _heap_of(target: ObjectModel, X_WT: np.ndarray) -> Heap:
-    """Returns a "heap" of a target alone."""
-    return Heap(target, (), {target.name: X_WT}, 0, 0, 1, 0.0)
 
 
 @cache

@@ -87,17 +87,10 @@ class _Scene:
         self._sensor.SetColorRenderCamera(self._context, color)
         self._sensor.SetDepthRenderCamera(self._context, depth)
 
-    def depth(self) -> np.ndarray:
-        port = self._sensor.depth_image_32F_output_port()
-        return np.array(port.Eval(self._context).data[..., 0])
-
-    def labels(self) -> np.ndarray:
-        port = self._sensor.label_image_output_port()
-        return np.array(port.Eval(self._context).data[..., 0])
-
-    def color(self) -> np.ndarray:
-        port = self._sensor.color_image_output_port()
-        return np.array(port.Eval(self._context).data[..., :3])
+    def image(self, kind: str) -> np.ndarray:
+        """Returns the (H, W, n) image of a port of Drake's sensor."""
+        port = self._sensor.GetOutputPort(kind)
+        return np.array(port.Eval(self._context).data)
 
 
 class Photographer:
@@ -163,7 +156,7 @@ class Photographer:
 
     def depth(self) -> np.ndarray:
         """Returns the (H, W) float32 depth image of what is placed, m."""
-        return self._scene.depth()
+        return self._scene.image("depth_image_32f")[..., 0]
 
     def take(self) -> Picture:
         """Takes a picture of what is placed.
@@ -176,15 +169,17 @@ class Photographer:
             raise RuntimeError("place a heap before taking a picture")
         target = heap.target.name
         names = tuple(model.name for model in heap.objects)
-        depth = scene.depth()
+        depth = self.depth()
         instances = instance_image(
-            scene.labels(),
+            scene.image("label_image")[..., 0],
             scene.label(target),
             [scene.label(name) for name in names],
         )
-        color = self._scenes[1].color() if len(self._scenes) > 1 else None
+        color = None
+        for textured in self._scenes[1:]:
+            color = textured.image("color_image")[..., :3]
         scene.place(target, None)
-        without_target = scene.depth()
+        without_target = self.depth()
         scene.place(target, heap.poses[target])
         return Picture(
             depth, without_target, instances, names, self._camera, color

@@ -141,17 +141,6 @@ def verify_shard(path: Path) -> None:
             shard.sample(index)
 
 
-def read_shard(path: Path) -> list[Sample]:
-    """Reads all samples of a shard.
-
-    Raises:
-        ShardError: it is damaged.
-        OSError: it cannot be read at all.
-    """
-    with ShardReader(path) as shard:
-        return [shard.sample(i) for i in range(len(shard))]
-
-
 class ShardReader:
     """Reads single samples of a shard when they are asked for.
 

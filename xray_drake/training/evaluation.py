@@ -7,9 +7,8 @@ images stand beside them.
 Intervals are 95 % percentile bootstraps that draw heaps, not images: views and
 snapshots of one heap are much alike, and drawn one by one they would make the
 intervals too narrow. All metrics are ratios of sums over images, so a draw of n
-out of n heaps is a vector of multinomial weights on the heaps' sums; NumPy does
-that in one product for all metrics, and the same draws serve every predictor.
-(``scipy.stats.bootstrap`` would draw anew for each metric.)
+out of n heaps is a vector of multinomial weights on the heaps' sums, which gives
+all metrics, and the same draws serve every predictor. (``scipy.stats.bootstrap`` would draw anew for each metric.)
 """
 
 import math
@@ -44,9 +43,6 @@ HELD = 0.95
 
 _SLACK = 1e-6
 """Rounding may take a prediction so far out of [0, 1]."""
-
-_DRAWN_AT_ONCE = 2_000_000
-"""Weights of the bootstrap that are in memory together."""
 
 
 class Visibility(Enum):
@@ -253,9 +249,7 @@ def evaluate(
     if resamples < 1:
         raise ValueError(f"a bootstrap needs draws, not {resamples}")
     records: dict[str, list[ImageRecord]] = {name: [] for name in predictors}
-    empty = True
     for sample in samples:
-        empty = False
         for name, predictor in predictors.items():
             start = time.perf_counter()
             answer = predictor(sample)
@@ -277,34 +271,33 @@ def evaluate(
                     seconds=seconds,
                 )
             )
-    if empty:
+    if not all(records.values()):
         raise ValueError("there is nothing to evaluate: no sample")
+    found = {}
+    for name, own in records.items():
+        targets = [record.key.target_name for record in own]
+        seen = [record.visibility for record in own]
+        # The package's targets in their order, then others by name.
+        order = dict.fromkeys((*TARGET_NAMES, *sorted(targets)))
 
-    def summary(part: list[ImageRecord]) -> Summary:
-        return _summarize(part, resamples, seed)
+        def parts(of: list[Any], order: Iterable[Any], own: Any = own) -> Any:
+            return {
+                part: _summarize(some, resamples, seed)
+                for part in order
+                if (
+                    some := [
+                        r for r, p in zip(own, of, strict=True) if p == part
+                    ]
+                )
+            }
 
-    return {
-        name: Evaluation(
+        found[name] = Evaluation(
             records=tuple(own),
-            overall=summary(own),
-            by_visibility={
-                part: summary(some)
-                for part in Visibility
-                if (some := [r for r in own if r.visibility is part])
-            },
-            by_target={
-                target: summary([r for r in own if r.key.target_name == target])
-                for target in _in_order({r.key.target_name for r in own})
-            },
+            overall=_summarize(own, resamples, seed),
+            by_visibility=parts(seen, Visibility),
+            by_target=parts(targets, order),
         )
-        for name, own in records.items()
-    }
-
-
-def _in_order(targets: set[str]) -> list[str]:
-    """Returns the package's targets in their order, then others by name."""
-    known = [name for name in TARGET_NAMES if name in targets]
-    return known + sorted(targets.difference(known))
+    return found
 
 
 def markdown_table(results: Mapping[str, Evaluation]) -> str:
@@ -454,22 +447,11 @@ def _resampled(sums: np.ndarray, resamples: int, seed: int) -> np.ndarray:
         seed: of the draws.
     """
     heaps = len(sums)
+    shares = np.full(heaps, 1 / heaps)
+    flat = sums.reshape(heaps, -1)
     rng = stream(seed, "bootstrap")
-    step = max(1, _DRAWN_AT_ONCE // heaps)
-    return np.concatenate(
-        [
-            np.tensordot(
-                rng.multinomial(
-                    heaps,
-                    np.full(heaps, 1 / heaps),
-                    size=min(step, resamples - start),
-                ).astype(float),
-                sums,
-                axes=1,
-            )
-            for start in range(0, resamples, step)
-        ]
-    )
+    drawn = [rng.multinomial(heaps, shares) @ flat for _ in range(resamples)]
+    return np.reshape(drawn, (resamples, *sums.shape[1:]))
 
 
 def _strict(value: Any) -> Any:

@@ -54,19 +54,6 @@ def robust_loss(
     return pooled + each + entropy_weight * entropy
 
 
-def mse_loss(output: Tensor, label: Tensor) -> Tensor:
-    """Returns the mean squared error over pixels and images (section IV.B).
-
-    Args:
-        output: (B, h, w), what the network says.
-        label: (B, h, w), times ``label_scale``.
-
-    Returns:
-        A scalar, of shape ().
-    """
-    return functional.mse_loss(output, label)
-
-
 def posterior_loss(logits: Tensor, amodal: Tensor, real: Tensor) -> Tensor:
     """Returns the log score of where targets really were.
 

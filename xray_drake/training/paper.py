@@ -15,13 +15,13 @@ from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import mse_loss
 from torch.utils.data import ConcatDataset, Dataset, TensorDataset
 
 from xray_drake.dataset.reader import NoSampleError, OccupancyDataset
 from xray_drake.seeding import stream
 from xray_drake.training.config import TrainConfig
 from xray_drake.training.data import length
-from xray_drake.training.losses import mse_loss
 from xray_drake.training.module import OccupancyTraining
 
 
@@ -133,6 +133,7 @@ class PaperTraining(OccupancyTraining):
         return self.net(image - self.input_mean[:, None, None]).float()
 
     def _loss(self, answer: Tensor, label: Tensor) -> Tensor:
+        # The mean over pixels and images (section IV.B).
         return mse_loss(answer, label * self._config.label_scale)
 
 
