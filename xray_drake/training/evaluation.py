@@ -7,8 +7,9 @@ images stand beside them.
 Intervals are 95 % percentile bootstraps that draw heaps, not images: views and
 snapshots of one heap are much alike, and drawn one by one they would make the
 intervals too narrow. All metrics are ratios of sums over images, so a draw of n
-out of n heaps is a vector of multinomial weights on the heaps' sums, which gives
-all metrics, and the same draws serve every predictor. (``scipy.stats.bootstrap`` would draw anew for each metric.)
+out of n heaps is a vector of multinomial weights on the heaps' sums, the same
+for all metrics and every predictor. (``scipy.stats.bootstrap`` would draw anew
+for each metric.)
 """
 
 import math
