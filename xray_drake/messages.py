@@ -331,3 +331,7 @@ class GripperStatus(Message):
     stirring: bool = False
     settling: bool = False
     loose: tuple[str, ...] = ()
+
+    def has_done(self, number: int) -> bool:
+        """Says whether it is idle, and that action was the last."""
+        return self.mode is GripperMode.IDLE and self.number == number

@@ -10,10 +10,10 @@ import pytest
 from xray_drake.messages import Grasp, GraspKind, GraspPlan
 from xray_drake.policy.planning import (
     PLACE_RADIUS,
-    DepthPlanning,
     FailedGrasp,
-    ModelPlanning,
     place_of,
+    planning_on_images,
+    planning_on_models,
     still_there,
 )
 from xray_drake.testing.tiny import Observation
@@ -58,7 +58,7 @@ def test_from_depth_each_instance_is_planned_once(
     """What failed is excluded, whatever it is called."""
     planner, seen = Planner(), recorded_observation
     failed = failed_on(seen, "book")
-    plan = DepthPlanning(
+    plan = planning_on_images(
         planner, seen.instances, seen.depth, seen.camera, (failed,)
     )
     planned = plan("book")
@@ -74,7 +74,9 @@ def test_an_object_thought_away_is_not_in_the_image(
     recorded_observation: Observation,
 ) -> None:
     planner, seen = Planner(), recorded_observation
-    plan = DepthPlanning(planner, seen.instances, seen.depth, seen.camera, ())
+    plan = planning_on_images(
+        planner, seen.instances, seen.depth, seen.camera, ()
+    )
     plan("block")
     plan("block", without=("book",))
     plan("block", without=["book"])
@@ -91,7 +93,7 @@ def test_an_object_thought_away_is_not_in_the_image(
 def test_models_exclude_by_name() -> None:
     planner = Planner()
     failed = [FailedGrasp(Grasp(GraspKind.JAW, name)) for name in ("a", "b")]
-    plan = ModelPlanning(planner, {"a": np.eye(4), "b": np.eye(4)}, failed)
+    plan = planning_on_models(planner, {"a": np.eye(4), "b": np.eye(4)}, failed)
     plan("a")
     plan("b", without=("a",))
     assert [set(poses) for poses in planner.known] == [{"a", "b"}, {"b"}]

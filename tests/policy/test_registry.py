@@ -198,46 +198,29 @@ def test_an_installed_policy_works_from_the_command_line(
 ) -> None:
     """In worker processes, and in the report of a machine that lacks it."""
     out = tmp_path / "out"
-
     program = "from xray_drake.cli.main import app; app()"
+    options = (
+        "benchmark --policies smallest,shelf:smallest --no-target-first "
+        "--heaps 2 --seed 10000 --workers 2 --num-objects 2 --horizon 2 "
+        "--occupancy geometric --out"
+    )
     path = os.pathsep.join([str(installed), *sys.path])
     done = subprocess.run(
-        [
-            *(sys.executable, "-c", program, "benchmark", "--out", out),
-            *("--policies", "smallest,shelf:smallest", "--no-target-first"),
-            *("--heaps", "2", "--seed", "10000", "--workers", "2"),
-            *(
-                "--num-objects",
-                "2",
-                "--occupancy",
-                "geometric",
-                "--horizon",
-                "2",
-            ),
-        ],
+        [sys.executable, "-c", program, *options.split(), out],
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    records = [
-        json.loads(line)
-        for line in (out / "rollouts.jsonl").read_text().splitlines()
-    ]
-    assert {
-        record["policy"]: record["policy_source"] for record in records
-    } == {
+    lines = (out / "rollouts.jsonl").read_text().splitlines()
+    records = sorted(map(json.loads, lines), key=lambda r: r["seed"])
+    assert {r["policy"]: r["policy_source"] for r in records} == {
         "smallest": "shelf:smallest (shelf 1.2)",
         "shelf:smallest": "shelf:smallest",
     }
-    assert len(records) == 4
     assert all(record["end"] != "error" for record in records)
-    actions = [
-        [action["object"] for action in record["actions"]]
-        for record in sorted(records, key=lambda record: record["seed"])
-    ]
-    assert actions[0] == actions[1]
-    assert actions[2] == actions[3]
+    one, other, *two = [[a["object"] for a in r["actions"]] for r in records]
+    assert (one, two[0]) == (other, two[1])
     # Here nobody knows these policies.
     code, report, _ = answer("report", out)
     assert code == 0

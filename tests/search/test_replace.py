@@ -8,7 +8,6 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.messages import (
-    GripperMode,
     GripperStatus,
     InstanceMasks,
     OccupancyDistribution,
@@ -76,7 +75,7 @@ class ByName(LeafSystem):
     def _decide(self, context: Context, state: State) -> EventStatus:
         status = self.GetInputPort("status").Eval(context)
         last = context.get_abstract_state(self._decided).get_value()
-        if status.mode is not GripperMode.IDLE or status.number != last.number:
+        if not status.has_done(last.number):
             return EventStatus.DidNothing()
         instances = self.GetInputPort("instances").Eval(context)
         grasp = self._parts.planner.plan(

@@ -23,12 +23,7 @@ from xray_drake.gym.rewards import (
     SearchState,
     discounted_return,
 )
-from xray_drake.messages import (
-    Choice,
-    GraspOptions,
-    InstanceMasks,
-    Outcome,
-)
+from xray_drake.messages import Choice, GraspOptions, InstanceMasks
 from xray_drake.policy.system import PERIOD
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
@@ -136,8 +131,11 @@ class MechanicalSearchEnv(DrakeGymEnv):
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario)
         modes = self.metadata["render_modes"]
-        if isinstance(reward, str):
-            reward = _one_of(REWARDS, reward, "reward")
+        rewarding: Reward = (
+            _one_of(REWARDS, reward, "reward")
+            if isinstance(reward, str)
+            else reward
+        )
         if not 0 < gamma < 1:
             raise ValueError(f"gamma is {gamma}: it must be between 0 and 1")
         if render_mode is not None:
@@ -166,7 +164,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         self.render_mode = render_mode
         self.scenario = scenario
         self.gamma = gamma
-        self._reward = REWARDS[reward] if isinstance(reward, str) else reward
+        self._reward = rewarding
         self._drop = drop
         self._meshcat = start_meshcat() if render_mode == "human" else None
         self._monitor: SearchMonitor | None = None
@@ -259,8 +257,8 @@ class MechanicalSearchEnv(DrakeGymEnv):
             record.end = "error"
             self._rewards.append(0.0)
             observation, info = self._answer()
-            said = {"valid": valid, "error": one_line(error)}
-            return observation, 0.0, False, True, info | said
+            info["valid"], info["error"] = valid, one_line(error)
+            return observation, 0.0, False, True, info
         before = self._state
         self._observation = self._observe()
         self._state = self._look()
@@ -270,18 +268,9 @@ class MechanicalSearchEnv(DrakeGymEnv):
         terminated = bool(record.end) and not truncated
         last = record.actions[-1]
         observation, info = self._answer()
-        return (
-            observation,
-            reward,
-            terminated,
-            truncated,
-            info
-            | {
-                "valid": valid,
-                "object": last.object,
-                "outcome": last.outcome.value,
-            },
-        )
+        info["valid"], info["object"] = valid, last.object
+        info["outcome"] = last.outcome.value
+        return observation, reward, terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """Shows the heap in Meshcat, or returns the (H, W, 3) uint8 picture."""
@@ -332,10 +321,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         for _ in range(int(LONGEST_ACTION / PERIOD)):
             self._slice += 1
             self.simulator.AdvanceTo(self._slice * PERIOD)
-            done = len(record.actions) == number and (
-                record.actions[-1].outcome is not Outcome.NONE
-            )
-            if done:
+            if record.num_done == number:
                 return
         raise RuntimeError(
             f"no end of action {number} after {LONGEST_ACTION:.0f} s of "

@@ -1,7 +1,6 @@
 """Planning grasps at one look: from models and poses, or from depth."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
@@ -11,6 +10,7 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
 from xray_drake.grasping.evidence.depth import SeenObject
 from xray_drake.messages import Grasp, GraspPlan, InstanceMasks, Message
+from xray_drake.policy.ranking import Planning
 from xray_drake.policy.removal import Removal
 
 Known = TypeVar("Known", contravariant=True)
@@ -79,97 +79,76 @@ class FailedGrasp(Message):
         object.__setattr__(self, "place", place)
 
 
-class _Planning(ABC):
-    """A :class:`xray_drake.policy.ranking.Planning` of each object once."""
+def _each_once(
+    plan: Callable[[str, Collection[str]], GraspPlan],
+) -> Planning:
+    """Returns a planning that remembers what it has planned."""
+    known: dict[tuple[str, frozenset[str]], GraspPlan] = {}
 
-    def __init__(self, failed: Sequence[FailedGrasp]) -> None:
-        self._failed = [f.grasp for f in failed]
-        self._known: dict[tuple[str, frozenset[str]], GraspPlan] = {}
-
-    def __call__(
-        self, name: str, *, without: Collection[str] = ()
-    ) -> GraspPlan:
-        """Plans a grasp; see :class:`xray_drake.policy.ranking.Planning`."""
+    def planned(name: str, *, without: Collection[str] = ()) -> GraspPlan:
         key = name, frozenset(without)
-        if key not in self._known:
-            self._known[key] = self._plan(*key)
-        return self._known[key]
+        if key not in known:
+            known[key] = plan(*key)
+        return known[key]
 
-    @abstractmethod
-    def _plan(self, name: str, without: Collection[str]) -> GraspPlan: ...
+    return planned
 
 
-class ModelPlanning(_Planning):
-    """Plans on models at their poses, each object once.
+def planning_on_models(
+    planner: PlansOnModels, poses: Poses, failed: Sequence[FailedGrasp]
+) -> Planning:
+    """Returns what plans on models at their poses, each object once.
 
     An object keeps its name and its shape: what failed on it is excluded for
     good, wherever it lies.
+
+    Args:
+        planner: finds grasps.
+        poses: object name to its 4×4 X_WO.
+        failed: all grasps that failed before.
     """
 
-    def __init__(
-        self,
-        planner: PlansOnModels,
-        poses: Poses,
-        failed: Sequence[FailedGrasp],
-    ) -> None:
-        """Takes what is known of the heap.
-
-        Args:
-            planner: finds grasps.
-            poses: object name to its 4×4 X_WO.
-            failed: all grasps that failed before.
-        """
-        super().__init__(failed)
-        self._planner = planner
-        self._poses = poses
-
-    def _plan(self, name: str, without: Collection[str]) -> GraspPlan:
-        return self._planner.plan(
+    def plan(name: str, without: Collection[str]) -> GraspPlan:
+        return planner.plan(
             name,
-            {n: X for n, X in self._poses.items() if n not in without},
-            excluded=[g for g in self._failed if g.object == name],
+            {n: X for n, X in poses.items() if n not in without},
+            excluded=[f.grasp for f in failed if f.grasp.object == name],
         )
 
+    return _each_once(plan)
 
-class DepthPlanning(_Planning):
-    """Plans on what is seen, each instance once.
+
+def planning_on_images(
+    planner: PlansOnImages,
+    instances: InstanceMasks,
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    failed: Sequence[FailedGrasp],
+) -> Planning:
+    """Returns what plans on what is seen, each instance once.
 
     The name of an instance means nothing in the next image. So what failed is
     excluded by its place, on whatever is seen there, until the place has
     changed (:func:`still_there`). Objects are removed hypothetically as a
     :class:`~xray_drake.policy.removal.Removal` does.
+
+    Args:
+        planner: finds grasps.
+        instances: masks of what may be grasped.
+        depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
+        camera: of both.
+        failed: the grasps that failed and whose place has not changed.
     """
 
-    def __init__(
-        self,
-        planner: PlansOnImages,
-        instances: InstanceMasks,
-        depth: np.ndarray,
-        camera: PinholeCamera,
-        failed: Sequence[FailedGrasp],
-    ) -> None:
-        """Takes what is seen.
-
-        Args:
-            planner: finds grasps.
-            instances: masks of what may be grasped.
-            depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
-            camera: of both.
-            failed: the grasps that failed and whose place has not changed.
-        """
-        super().__init__(failed)
-        self._planner = planner
-        self._instances = instances
-        self._depth = depth
-        self._camera = camera
-
-    def _plan(self, name: str, without: Collection[str]) -> GraspPlan:
-        depth = self._depth
+    def plan(name: str, without: Collection[str]) -> GraspPlan:
+        image = depth
         for other in sorted(without):
-            removal = Removal(depth, self._camera)
-            depth, _ = removal.without(self._instances.mask(other))
-        seen = SeenObject(self._instances.mask(name), depth, self._camera)
-        return self._planner.plan(name, seen, excluded=self._failed)
+            removal = Removal(image, camera)
+            image, _ = removal.without(instances.mask(other))
+        seen = SeenObject(instances.mask(name), image, camera)
+        return planner.plan(name, seen, excluded=[f.grasp for f in failed])
+
+    return _each_once(plan)
 
 
 def place_of(

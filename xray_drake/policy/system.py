@@ -19,7 +19,6 @@ from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
     Grasp,
-    GripperMode,
     GripperStatus,
     InstanceMasks,
     Message,
@@ -32,12 +31,12 @@ from xray_drake.messages import (
 from xray_drake.occupancy.system import OccupancyModel
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.planning import (
-    DepthPlanning,
     FailedGrasp,
-    ModelPlanning,
     PlansOnImages,
     PlansOnModels,
     place_of,
+    planning_on_images,
+    planning_on_models,
     still_there,
 )
 from xray_drake.policy.ranking import (
@@ -226,11 +225,7 @@ class SearchPolicy(CollectableLeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         memory: Decision = context.get_abstract_state(self._memory).get_value()
         status: GripperStatus = self._status.Eval(context)
-        waiting = (
-            status.mode is not GripperMode.IDLE
-            or status.number != memory.action.number
-        )
-        if waiting:
+        if not status.has_done(memory.action.number):
             return EventStatus.DidNothing()
         failed = self._failed(context)
         state.get_mutable_abstract_state(self._memory).set_value(
@@ -311,10 +306,10 @@ class SearchPolicy(CollectableLeafSystem):
     ) -> Planning:
         planner = self._planner
         if isinstance(planner, DepthGrasps):
-            return DepthPlanning(
+            return planning_on_images(
                 planner.planner, instances, *self._seen(context), failed
             )
-        return ModelPlanning(planner, self._object_poses(context), failed)
+        return planning_on_models(planner, self._object_poses(context), failed)
 
     def _planning_inputs(self) -> list[InputPort]:
         if isinstance(self._planner, DepthGrasps):

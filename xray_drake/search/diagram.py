@@ -118,17 +118,17 @@ def build_search_diagram(
     )
     inside = SearchParts(scenario, heap, parts, parts.labels, planner)
     replaced = {n: _replacement(n, b, inside) for n, b in replace.items()}
-    execution = add_execution(
+    controller, *sensors = add_execution(
         builder, scenario, station, parts, heap, planner, meshcat=meshcat
     )
     truth = _images(station, scenario.camera.name)
     boxes = Boxes(builder, replaced, truth)
     add_perception(boxes, inside)
     truth["body_poses"] = station.GetOutputPort("cheat.body_poses")
-    status = execution.controller.GetOutputPort("status")
+    status = controller.GetOutputPort("status")
     action = add_decision(boxes, inside, truth, status, agent=agent)
-    builder.Connect(action, execution.controller.GetInputPort("action"))
-    _export_outputs(builder, station, (*boxes.added, *execution.boxes))
+    builder.Connect(action, controller.GetInputPort("action"))
+    _export_outputs(builder, station, (*boxes.added, controller, *sensors))
     diagram = SearchDiagram()
     builder.BuildInto(diagram)
     diagram.set_name("search")

@@ -1,7 +1,6 @@
 """Adds the gripper that a scenario chooses to a search."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder, System
@@ -24,19 +23,6 @@ from xray_drake.station.scenario import Scenario
 _Wire = tuple[System, str, System, str]
 
 
-@dataclass(frozen=True, eq=False)
-class Execution:
-    """What carries out actions, wired to the station.
-
-    Attributes:
-        controller: has the input ``action`` and the output ``status``.
-        boxes: all systems that were added.
-    """
-
-    controller: System
-    boxes: list[System]
-
-
 def add_execution(
     builder: DiagramBuilder,
     scenario: Scenario,
@@ -46,7 +32,7 @@ def add_execution(
     judge: Judge,
     *,
     meshcat: Meshcat | None = None,
-) -> Execution:
+) -> list[System]:
     """Adds ``gripper_controller``, by contact with all that it feels with.
 
     By contact there are ``suction_cup`` and ``rest_sensor`` as well, and with a
@@ -61,21 +47,24 @@ def add_execution(
         heap: what lies in the bin.
         judge: says whether a grasp of the ideal gripper holds.
         meshcat: shows, by contact, whether the suction cup has sealed.
+
+    Returns:
+        All that was added, the controller first.
     """
     bodies = {
         name: int(item.body.index()) for name, item in parts.objects.items()
     }
     if parts.gripper is None:
-        execution, wires = _quasi_static(
+        added, wires = _quasi_static(
             builder, scenario, station, heap, bodies, judge
         )
     else:
-        execution, wires = _contact(
+        added, wires = _contact(
             builder, scenario, station, heap, bodies, parts.gripper, meshcat
         )
     for source, output, drain, port in wires:
         builder.Connect(source.GetOutputPort(output), drain.GetInputPort(port))
-    return execution
+    return added
 
 
 def _quasi_static(
@@ -85,7 +74,7 @@ def _quasi_static(
     heap: Heap,
     bodies: Mapping[str, int],
     judge: Judge,
-) -> tuple[Execution, list[_Wire]]:
+) -> tuple[list[System], list[_Wire]]:
     controller = builder.AddSystem(
         QuasiStaticGripper(
             judge=judge,
@@ -99,7 +88,7 @@ def _quasi_static(
         )
     )
     velocities = "body_spatial_velocities"
-    return Execution(controller, [controller]), [
+    return [controller], [
         (station, "cheat.body_poses", controller, "body_poses"),
         (station, f"cheat.{velocities}", controller, velocities),
         (controller, "applied_spatial_force", station, "applied_spatial_force"),
@@ -115,7 +104,7 @@ def _contact(
     bodies: Mapping[str, int],
     gripper: YumiGripper,
     meshcat: Meshcat | None,
-) -> tuple[Execution, list[_Wire]]:
+) -> tuple[list[System], list[_Wire]]:
     config, parameters = scenario.gripper, scenario.gripper.parameters
     time_step = scenario.plant_config.time_step
     controller = builder.AddSystem(
@@ -156,4 +145,4 @@ def _contact(
             SealLight(meshcat, gripper.X_BC, sealed=config.contact.sealed)
         )
         wires.append((cup, "state", light, "cup_state"))
-    return Execution(controller, [controller, cup, rest]), wires
+    return [controller, cup, rest], wires

@@ -104,17 +104,12 @@ class SearchMonitor:
             # Whatever the gripper holds, the target may hang on it.
             if status.held and not self._cleared:
                 self._cleared = self._is_clear(context)
-        else:
-            if status.held == self._target.name and self._is_clear(context):
-                self._finish(context, Outcome.LIFTED, "", "success")
-                return self._termination()
+        elif status.held == self._target.name and self._is_clear(context):
+            self._finish(context, Outcome.LIFTED, "", "success")
+            return self._termination()
         self._let_sleep(root_context, status)
-        done = (
-            status.mode is GripperMode.IDLE
-            and status.number == self._decided > 0
-            and self.record.actions[-1].outcome is Outcome.NONE
-        )
-        if done:
+        goes_on = self.record.num_done < self.record.num_actions
+        if goes_on and status.has_done(self._decided):
             end = self._end(context, status)
             self._finish(context, status.outcome, status.reason, end)
         if self.record.end:

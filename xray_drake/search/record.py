@@ -65,11 +65,7 @@ class ActionRecord:
     def to_dict(self) -> dict[str, Any]:
         """Returns the action as JSON takes it."""
         grasp = self.grasp
-        return {
-            "step": self.step,
-            "object": self.object,
-            "segment": self.segment,
-            "is_target": self.is_target,
+        return vars(self) | {
             "grasp": {
                 "kind": grasp.kind.value if grasp else None,
                 "X_WG": np.round(grasp.X_WG, 6).tolist() if grasp else None,
@@ -77,14 +73,9 @@ class ActionRecord:
                 "quality": round(grasp.quality, 6),
             },
             "outcome": self.outcome.value,
-            "reason": self.reason,
             "lifted": list(self.lifted),
             "duration": round(self.duration, 3),
             "score": round(self.score, 4),
-            "support_before": self.support_before,
-            "support_after": self.support_after,
-            "support_01_before": self.support_01_before,
-            "support_01_after": self.support_01_after,
             "target_visible_fraction": round(self.target_visible_fraction, 4),
             "true_mask_in_support": round(self.true_mask_in_support, 4),
             "seconds": {k: round(v, 4) for k, v in self.seconds.items()},
@@ -152,30 +143,24 @@ class SearchRecord:
         """Actions spent, the one that lifted the target included."""
         return len(self.actions)
 
+    @property
+    def num_done(self) -> int:
+        """Actions that have ended."""
+        return sum(a.outcome is not Outcome.NONE for a in self.actions)
+
     def to_dict(self) -> dict[str, Any]:
         """Returns the record as JSON takes it."""
-        return {
+        data: dict[str, Any] = {
             "success": self.success,
             "num_actions": self.num_actions,
-            "horizon": self.horizon,
-            "policy": self.policy,
-            **(
-                {"policy_source": self.policy_source}
-                if self.policy_source
-                else {}
-            ),
-            "target_first": self.target_first,
-            "occupancy": self.occupancy,
-            "execution": self.execution,
-            "seed": self.seed,
-            "target": self.target,
-            "objects": self.objects,
+            **vars(self),
             "start": {k: round(v, 4) for k, v in self.start.items()},
             "actions": [action.to_dict() for action in self.actions],
-            "end": self.end,
-            "scenario": self.scenario,
-            **self.provenance.to_dict(),
         }
+        if not self.policy_source:
+            del data["policy_source"]
+        provenance = data.pop("provenance")
+        return data | provenance.to_dict()
 
 
 def write_record(record: SearchRecord, path: Path) -> None:

@@ -1,14 +1,13 @@
 """The scenario: one YAML file says all that a search depends on."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
@@ -73,7 +72,7 @@ from xray_drake.scene.cameras import (
 )
 from xray_drake.scene.contact import ContactConfig
 from xray_drake.scene.heap import HeapConfig
-from xray_drake.scene.plant import default_plant_config
+from xray_drake.scene.plant import add_plant, default_plant_config
 from xray_drake.splits import SPLITS
 from xray_drake.station.drake_rules import (
     CONTACT_APPROXIMATIONS,
@@ -315,8 +314,11 @@ def parse_scenario(
     """
     tree = _renamed(read_tree(text, source))
     check_tree(tree, Scenario, source, DRAKE_RULES)
-    with _one_line(f"{source}: ", Exception):
+    try:
         scenario = _from_yaml(yaml_dump(tree))
+    except Exception as error:
+        why = " ".join(str(error).split())
+        raise ScenarioError(f"{source}: {why}") from error
     if folder is not None:
         scenario = with_paths(scenario, folder)
     check_scenario(scenario, source, searched=searched)
@@ -349,16 +351,6 @@ def record_scenario(scenario: Scenario) -> str:
     return dump_scenario(with_paths(scenario, Path()))
 
 
-@contextmanager
-def _one_line(prefix: str, *kinds: type[BaseException]) -> Iterator[None]:
-    """Turns other errors into a ScenarioError that says where."""
-    try:
-        yield
-    except kinds as error:
-        message = " ".join(str(error).split())
-        raise ScenarioError(f"{prefix}{message}") from error
-
-
 def check_scenario(
     scenario: Scenario, source: str = "scenario", *, searched: bool = True
 ) -> None:
@@ -375,54 +367,8 @@ def check_scenario(
         ScenarioError: a choice that does not exist or a number out of range.
     """
     check(scenario, source, DRAKE_RULES)
-    _check_unused(scenario, source)
-    perception = scenario.perception
-    for low, high in IN_ORDER:
-        least, most = (attrgetter(path)(scenario) for path in (low, high))
-        if least > most:
-            raise ScenarioError(
-                f"{source}: {low} is {least}: it must be at most {most}, {high}"
-            )
-    if perception.occupancy == "geometric_label":
-        with _one_line(f"{source}: perception.", ValueError):
-            check_label(perception.geometric)
-    for wrong, said in (
-        (
-            scenario.scene.packaged_share > 0 and not scenario.scene.packaged,
-            "scene.packaged_share needs scene.packaged: true",
-        ),
-        (
-            perception.segmenter == "depth"
-            and scenario.gripper.grasps == "models",
-            "perception.segmenter is depth, but gripper.grasps is models: of "
-            "what is found in depth no model is known; choose gripper.grasps: "
-            "depth",
-        ),
-        (
-            perception.occupancy == "geometric_label"
-            and perception.geometric.poses != "flat",
-            f"perception.geometric.poses is {perception.geometric.poses}, but "
-            "perception.occupancy: geometric_label takes the target to lie "
-            "flat; choose poses: flat, or occupancy: geometric",
-        ),
-        (not scenario.camera.name, "camera.name is empty"),
-    ):
-        if wrong:
-            raise ScenarioError(f"{source}: {said}")
-    if searched:
-        with _one_line(f"{source}: policy.name: ", PolicyError):
-            POLICIES[scenario.policy.name]
-        _check_weights(perception, scenario.camera, source)
-    with _one_line(f"{source}: camera: ", *BREAKDOWNS, ValueError):
-        check_renderer(scenario.camera)
-        check_view(scenario.camera)
-    if scenario.gripper.execution == "contact":
-        # First: Drake's own message does not say what to choose.
-        _check_contact(scenario, source)
-    with _one_line(f"{source}: plant_config: ", *BREAKDOWNS):
-        AddMultibodyPlant(
-            config=scenario.plant_config, builder=DiagramBuilder()
-        )
+    for said in _conflicts(scenario, searched=searched):
+        raise ScenarioError(f"{source}: {said}")
 
 
 _UNUSED = {
@@ -436,36 +382,87 @@ _UNUSED = {
 """Of Drake's structs, what would change a search or its pictures elsewhere."""
 
 
-def _check_unused(scenario: Scenario, source: str) -> None:
-    """Refuses what is set, but has no effect."""
-    defaults = Scenario()
+def _conflicts(scenario: Scenario, *, searched: bool) -> Iterator[str]:
+    """Yields what does not go together, each in one line."""
+    usual, perception = Scenario(), scenario.perception
     for owner, names in _UNUSED.items():
-        given, usual = (
-            tree_of(getattr(chosen, owner)) for chosen in (scenario, defaults)
-        )
         for name in names:
-            if given[name] != usual[name]:
-                raise ScenarioError(
-                    f"{source}: {owner}.{name} is {given[name]}, which nothing "
-                    "here looks at: leave it out"
+            path = f"{owner}.{name}"
+            given, default = (attrgetter(path)(s) for s in (scenario, usual))
+            if given != default:
+                yield (
+                    f"{path} is {given}, which nothing here looks at: leave "
+                    "it out"
                 )
+    for low, high in IN_ORDER:
+        least, most = (attrgetter(path)(scenario) for path in (low, high))
+        if least > most:
+            yield f"{low} is {least}: it must be at most {most}, {high}"
+    if perception.occupancy == "geometric_label":
+        label = perception.geometric
+        yield from _refused("perception.", ValueError, check_label, label)
+        if label.poses != "flat":
+            yield (
+                f"perception.geometric.poses is {label.poses}, but "
+                "perception.occupancy: geometric_label takes the target to lie "
+                "flat; choose poses: flat, or occupancy: geometric"
+            )
+    if scenario.scene.packaged_share > 0 and not scenario.scene.packaged:
+        yield "scene.packaged_share needs scene.packaged: true"
+    if perception.segmenter == "depth" and scenario.gripper.grasps == "models":
+        yield (
+            "perception.segmenter is depth, but gripper.grasps is models: of "
+            "what is found in depth no model is known; choose gripper.grasps: "
+            "depth"
+        )
+    if not scenario.camera.name:
+        yield "camera.name is empty"
+    if searched:
+        name = scenario.policy.name
+        yield from _refused(
+            "policy.name: ", PolicyError, POLICIES.__getitem__, name
+        )
+        yield from _unfit_weights(perception, scenario.camera)
+    for checked in (check_renderer, check_view):
+        yield from _refused(
+            "camera: ", (*BREAKDOWNS, ValueError), checked, scenario.camera
+        )
+    if scenario.gripper.execution == "contact":
+        # First: Drake's own message does not say what to choose.
+        yield from _unfit_for_contact(scenario, usual)
+    plant = DiagramBuilder(), scenario.plant_config
+    yield from _refused("plant_config: ", BREAKDOWNS, add_plant, *plant)
 
 
-def _check_weights(
-    perception: PerceptionConfig, camera: CameraConfig, source: str
-) -> None:
+def _refused(
+    prefix: str,
+    kinds: type[Exception] | tuple[type[Exception], ...],
+    function: Callable[..., object],
+    *arguments: object,
+) -> Iterator[str]:
+    """Yields, in one line, what a function says that refuses its arguments."""
+    try:
+        function(*arguments)
+    except kinds as error:
+        yield prefix + " ".join(str(error).split())
+
+
+def _unfit_weights(
+    perception: PerceptionConfig, camera: CameraConfig
+) -> Iterator[str]:
     if perception.occupancy in WITHOUT_NETWORK:
         return
     if camera.width % SIZE_STEP or camera.height % SIZE_STEP:
-        raise ScenarioError(
-            f"{source}: camera: images of {camera.width} x {camera.height}, "
+        yield (
+            f"camera: images of {camera.width} x {camera.height}, "
             f"but a network takes multiples of {SIZE_STEP}: choose such a "
             "size, or perception.occupancy: geometric"
         )
     path = weights_path(perception)
     if not path.is_dir():
-        with _one_line(f"{source}: perception.weights: ", WeightsError):
-            read_card(path)
+        yield from _refused(
+            "perception.weights: ", WeightsError, read_card, path
+        )
 
 
 def weights_path(perception: PerceptionConfig) -> Path:
@@ -474,16 +471,14 @@ def weights_path(perception: PerceptionConfig) -> Path:
     return Path(given) if given else default_weights()
 
 
-def _check_contact(scenario: Scenario, source: str) -> None:
-    """Checks what the gripper in the plant needs of it."""
+def _unfit_for_contact(scenario: Scenario, usual: Scenario) -> Iterator[str]:
+    """Yields what does not suit the gripper in the plant."""
     for name in ("pad_width", "pad_height"):
         path = f"gripper.parameters.{name}"
-        given, built = (
-            attrgetter(path)(chosen) for chosen in (scenario, Scenario())
-        )
+        given, built = (attrgetter(path)(s) for s in (scenario, usual))
         if given != built:
-            raise ScenarioError(
-                f"{source}: gripper.execution is contact, but {path} is "
+            yield (
+                f"gripper.execution is contact, but {path} is "
                 f"{given}: the gripper in the plant has {built}"
             )
     for key, wanted in (
@@ -492,7 +487,7 @@ def _check_contact(scenario: Scenario, source: str) -> None:
     ):
         value = getattr(scenario.plant_config, key)
         if value not in wanted:
-            raise ScenarioError(
-                f"{source}: gripper.execution is contact, but plant_config."
+            yield (
+                f"gripper.execution is contact, but plant_config."
                 f"{key} is {value!r}: choose one of {', '.join(wanted)}"
             )

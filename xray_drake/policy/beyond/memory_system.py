@@ -4,17 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    State,
-)
+from pydrake.systems.framework import Context, EventStatus, State
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
-    GripperMode,
     GripperStatus,
     InstanceMasks,
     Outcome,
@@ -70,11 +65,10 @@ class SearchMemory(CollectableLeafSystem):
         self.set_name("search_memory")
         self._memory = memory
         camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
-        self._depth_image, self._target_mask, self._instances = (
-            self.declare_input("depth_image", ImageDepth32F(width, height)),
-            self.declare_input("target_mask", TargetMask()),
-            self.declare_input("instances", InstanceMasks()),
-        )
+        image = ImageDepth32F(width, height)
+        self._depth_image = self.declare_input("depth_image", image)
+        self._target_mask = self.declare_input("target_mask", TargetMask())
+        self._instances = self.declare_input("instances", InstanceMasks())
         self._camera = self.declare_input("camera", camera)
         self._action = self.declare_input("action", SearchAction())
         self._status = self.declare_input("status", GripperStatus())
@@ -126,20 +120,15 @@ class SearchMemory(CollectableLeafSystem):
 
     def _calc_depth(self, context: Context, output: AbstractValue) -> None:
         belief: Belief = self._belief.Eval(context)
-        image = output.get_mutable_value()
-        image.mutable_data[:, :, 0] = self._memory.recall(
-            belief, self._camera.Eval(context)
-        )
+        depth = self._memory.recall(belief, self._camera.Eval(context))
+        output.get_mutable_value().mutable_data[:, :, 0] = depth
 
     def _update(self, context: Context, state: State) -> EventStatus:
         before: Belief = context.get_abstract_state(self._state).get_value()
         status: GripperStatus = self._status.Eval(context)
         action: SearchAction = self._action.Eval(context)
-        waiting = (
-            status.mode is not GripperMode.IDLE
-            or status.number != action.number
-        )
-        if waiting or status.number == before.number:
+        done = status.has_done(action.number)
+        if not done or status.number == before.number:
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(self._state).set_value(
             self._belief.Eval(context)
