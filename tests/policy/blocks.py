@@ -14,7 +14,7 @@ from xray_drake.messages import (
     OccupancyDistribution,
 )
 from xray_drake.policy.beyond.shifts import Look
-from xray_drake.policy.ranking import Outlook, Planning
+from xray_drake.policy.ranking import Outlook, Planning, SearchView
 
 WIDTH, HEIGHT = 128, 96
 SHAPE = HEIGHT, WIDTH
@@ -119,3 +119,26 @@ def planning(
         return GraspPlan(Grasp(kind, name if quality else "", quality=quality))
 
     return plan
+
+
+def view(
+    blocks: Sequence[Block], plan: Planning, rho: np.ndarray | None = None
+) -> SearchView:
+    """What a ranking sees of blocks; by default the distribution is inferred.
+
+    Args:
+        blocks: on the floor.
+        plan: plans grasps.
+        rho: where the target can be, if that is known.
+    """
+    seen = look(blocks)
+    return SearchView(
+        hidden_places(seen.depth, seen.target)
+        if rho is None
+        else OccupancyDistribution(rho),
+        seen.instances,
+        tuple(block.name for block in blocks),
+        TARGET if seen.target.any() else "",
+        plan,
+        outlook(seen),
+    )

@@ -10,12 +10,11 @@ from tests.policy.blocks import (
     SCALE,
     TARGET,
     Block,
-    look,
-    outlook,
     planning,
     target_block,
 )
-from xray_drake.messages import Grasp, OccupancyDistribution, RankedCandidate
+from tests.policy.blocks import view as blocks_view
+from xray_drake.messages import Grasp, RankedCandidate
 from xray_drake.policy.beyond.chance import chance
 from xray_drake.policy.beyond.grasp_aware import GraspAware
 from xray_drake.policy.beyond.lookahead import Lookahead
@@ -38,18 +37,7 @@ GOOD = {"left": 0.9, "right": 0.9, "far": 0.9}
 
 def view(blocks: Sequence[Block], plan: Planning) -> SearchView:
     """The target is known to be where it is."""
-    seen = look(blocks)
-    rho = np.zeros(seen.target.shape)
-    for block in blocks:
-        rho[block.mask & (block.name == TARGET)] = 1.0
-    return SearchView(
-        OccupancyDistribution(rho),
-        seen.instances,
-        tuple(block.name for block in blocks),
-        TARGET if seen.target.any() else "",
-        plan,
-        outlook(seen),
-    )
+    return blocks_view(blocks, plan, SEEN.mask * (SEEN in blocks))
 
 
 def ranked(seen: SearchView, ranking: GraspAware) -> list[RankedCandidate]:

@@ -16,14 +16,14 @@ from tests.policy.blocks import (
     heights_of,
     hidden_places,
     look,
-    outlook,
     planning,
     target_block,
+    view,
 )
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.policy.beyond.chance import USUAL, chance
 from xray_drake.policy.beyond.lookahead import Lookahead
-from xray_drake.policy.ranking import Planning, SearchView, order, xray
+from xray_drake.policy.ranking import SearchView, order, xray
 
 GREEDY = Lookahead(beam=0)
 SILHOUETTE = SCALE**2 * TARGET_SIZE[0] * TARGET_SIZE[1]
@@ -31,18 +31,6 @@ SILHOUETTE = SCALE**2 * TARGET_SIZE[0] * TARGET_SIZE[1]
 SLAB = Block("slab", 20, 30, 30, 40, 0.01)
 CUP = Block("cup", 25, 40, 12, 12, 0.06)  # stands on the slab
 BOX = Block("box", 70, 20, 10, 10, 0.03)
-
-
-def view(blocks: Sequence[Block], plan: Planning) -> SearchView:
-    seen = look(blocks)
-    return SearchView(
-        hidden_places(seen.depth, seen.target),
-        seen.instances,
-        tuple(block.name for block in blocks),
-        TARGET if seen.target.any() else "",
-        plan,
-        outlook(seen),
-    )
 
 
 def names(seen: SearchView, lookahead: Lookahead) -> list[str]:

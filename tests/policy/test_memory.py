@@ -7,11 +7,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.occupancy.scenes import make_camera
 from tests.policy.blocks import (
     CAMERA_HEIGHT,
     FLOOR,
     SCALE,
+    SHAPE,
     TARGET,
     TARGET_SIZE,
     Block,
@@ -20,7 +20,6 @@ from tests.policy.blocks import (
     overhead_camera,
     target_block,
 )
-from xray_drake.messages import InstanceMasks
 from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.policy.beyond.memory import Belief, TargetMemory
@@ -236,33 +235,24 @@ def test_where_no_room_is_left_it_forgets() -> None:
 
 def test_the_inference_excludes_what_is_remembered() -> None:
     """A plate hides a target on the floor, but not where the floor was seen."""
-    camera = make_camera()
     target = target_model("box_2to1")
     memory = TargetMemory(target.extents, FLOOR)
-
-    def plates(*corners: tuple[int, int]) -> Look:
-        depth = camera.plane_depth(0.0).astype(np.float32)
-        labels = np.full(camera.shape, -1)
-        for i, (row, column) in enumerate(corners):
-            part = slice(row, row + 60), slice(column, column + 70)
-            depth[part], labels[part] = camera.plane_depth(0.02)[part], i
-        names = tuple(f"plate_{i}" for i in range(len(corners)))
-        nothing = np.zeros(camera.shape, bool)
-        return Look(depth, nothing, InstanceMasks(labels, names))
-
-    before, after = plates((80, 100), (220, 300)), plates((80, 250), (220, 300))
-    belief = memory.update(Belief(), before, camera)
-    belief = memory.update(belief, after, camera)
+    plate, other = (
+        Block("plate", 25, 30, 18, 20, 0.02),
+        Block("other", 60, 85, 18, 20, 0.02),
+    )
+    moved = plate.moved(0, 40)
+    belief = Belief()
+    for blocks in ([plate, other], [moved, other]):
+        belief = memory.update(belief, look(blocks), CAMERA)
     inference = GeometricInference(target, GeometricConfig(rotations=8))
-    nothing = np.zeros(camera.shape, bool)
-    seen = inference.infer(after.depth, nothing, camera).support()
-    known = inference.infer(
-        memory.recall(belief, camera), nothing, camera
-    ).support()
-    moved = after.instances.mask("plate_0")
-    assert seen[moved].mean() > 0.9
-    assert not known[moved].any()
-    np.testing.assert_array_equal(known[~moved], seen[~moved])
+    seen, known = (
+        inference.infer(depth, np.zeros(SHAPE, bool), CAMERA).support()
+        for depth in (look([moved, other]).depth, memory.recall(belief, CAMERA))
+    )
+    assert seen[moved.mask].mean() > 0.9
+    assert not known[moved.mask].any()
+    np.testing.assert_array_equal(known[~moved.mask], seen[~moved.mask])
 
 
 def test_names_that_do_not_last_are_not_needed() -> None:

@@ -25,7 +25,7 @@ from xray_drake.messages import (
     TargetMask,
 )
 from xray_drake.policy.ranking import Ranking, Scores, SearchView, largest
-from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
+from xray_drake.policy.system import Foresight, SearchPolicy
 
 NAMES = ("box", "book", "cup")
 BODIES = {"box": 4, "book": 2, "cup": 3}
@@ -99,17 +99,20 @@ class Policy(Alone):
 
     def __init__(
         self,
-        planner: Planner | DepthGrasps,
+        planner: Planner,
         *,
         ranking: Ranking = largest,
         target_first: bool = False,
+        bodies: dict[str, int] | None = BODIES,
         **options: Any,
     ) -> None:
         super().__init__(
             SearchPolicy(
                 ranking=ranking,
                 planner=planner,
-                bodies=BODIES,
+                bodies=bodies,
+                width=24,
+                height=12,
                 target_first=target_first,
                 **options,
             ),
@@ -118,7 +121,7 @@ class Policy(Alone):
             target_mask=TargetMask(np.zeros(LABELS.shape)),
             status=GripperStatus(),
         )
-        if not isinstance(planner, DepthGrasps):
+        if bodies:
             self.fix(body_poses=[RigidTransform([0, 0, i]) for i in range(6)])
 
     def decide(self) -> SearchAction:
@@ -338,7 +341,7 @@ def test_what_a_ranking_is_given_beside_what_all_see() -> None:
 
     inference = Inference()
     size = np.array([0.04, 0.02, 0.005])
-    foresight = Foresight(inference, size, width=24, height=12)
+    foresight = Foresight(inference, size)
     knowing = Policy(
         Planner("book"), ranking=ranking, foresight=foresight, truth=True
     )
@@ -389,17 +392,12 @@ def test_a_ranking_can_plan_and_each_grasp_is_planned_once() -> None:
     assert action.grasp.width == pytest.approx(0.04)  # of the fourth question
 
 
-def test_planning_on_models_needs_bodies() -> None:
-    with pytest.raises(ValueError, match="bodies"):
-        SearchPolicy(ranking=largest, planner=Planner())
-
-
 class BlindPolicy(Policy):
     """A SearchPolicy that plans from depth."""
 
     def __init__(self) -> None:
         self.planner = SeenPlanner("s0", "s1", "s2")
-        super().__init__(DepthGrasps(self.planner, 24, 12))
+        super().__init__(self.planner, bodies=None)
         self.fix(camera=CAMERA)
 
     def see(self, *names: str, book: float = 0.03) -> np.ndarray:

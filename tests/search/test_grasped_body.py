@@ -76,17 +76,16 @@ def test_what_cup_or_jaw_is_on(
 
 def told(seen: Observation, action: SearchAction) -> SearchAction:
     """What the system makes of an action."""
-    names = list(seen.label_of)
-    system = GraspedBody(
-        labels=seen.label_of, bodies={name: i for i, name in enumerate(names)}
-    )
+    poses = [RigidTransform()] * (1 + max(seen.label_of.values()))
+    for name, body in seen.label_of.items():
+        poses[body] = RigidTransform(seen.heap.poses[name])
     return Alone(
-        system,
+        GraspedBody(bodies=seen.label_of),
         action=action,
         depth_image=seen.depth,
         label_image=seen.labels,
         camera=seen.camera,
-        body_poses=[RigidTransform(seen.heap.poses[n]) for n in names],
+        body_poses=poses,
     ).output("action")
 
 

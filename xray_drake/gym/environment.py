@@ -12,7 +12,7 @@ from gymnasium import spaces
 from pydrake.common import RandomGenerator
 from pydrake.common.value import AbstractValue
 from pydrake.gym import DrakeGymEnv
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import CameraConfig
 
 from xray_drake.drawing.meshcat_layers import start_meshcat
@@ -27,7 +27,7 @@ from xray_drake.messages import Choice, GraspOptions, InstanceMasks
 from xray_drake.policy.system import PERIOD
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
-from xray_drake.search.monitor import SearchMonitor, attach_monitor
+from xray_drake.search.monitor import SearchMonitor, begin_search
 from xray_drake.search.rollout import LONGEST_ACTION
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario, load_scenario
@@ -306,9 +306,7 @@ class MechanicalSearchEnv(DrakeGymEnv):
         diagram = build_search_diagram(
             scenario, heap=heap, meshcat=self._meshcat, agent=True
         )
-        simulator = Simulator(diagram)
-        ApplySimulatorConfig(scenario.simulator_config, simulator)
-        self._monitor = attach_monitor(simulator, diagram)
+        simulator, self._monitor = begin_search(diagram)
         return simulator
 
     def _advance(self, number: int) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context
 
 from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, read_rollouts
@@ -16,7 +15,7 @@ from xray_drake.inspector.snapshot import Snapshot, SnapshotRecorder
 from xray_drake.provenance import versions
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import AGENT, SearchDiagram, build_search_diagram
-from xray_drake.search.monitor import Observer, attach_monitor
+from xray_drake.search.monitor import Observer, begin_search
 from xray_drake.search.record import ActionRecord, SearchRecord
 from xray_drake.search.rollout import run_search
 from xray_drake.station.objects import make_heap
@@ -69,9 +68,7 @@ def first_decision(scenario: Scenario, heap: Heap) -> Replay:
     """
     diagram = build_search_diagram(scenario, heap=heap)
     recorder = SnapshotRecorder(candidates=_CANDIDATES)
-    simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
-    monitor = attach_monitor(simulator, diagram, observers=(recorder,))
+    simulator, monitor = begin_search(diagram, observers=(recorder,))
     simulator.AdvanceTo(_FIRST_LOOK)
     while not recorder.snapshots:
         simulator.AdvanceTo(simulator.get_context().get_time() + _FIRST_LOOK)

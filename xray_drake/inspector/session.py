@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.analysis import Simulator
 
 from xray_drake.inspector.controls import Controls
 from xray_drake.inspector.recording import SearchDrawing
 from xray_drake.search.diagram import build_search_diagram
-from xray_drake.search.monitor import Observer, SearchMonitor, attach_monitor
+from xray_drake.search.monitor import Observer, SearchMonitor, begin_search
 from xray_drake.search.record import SearchRecord
 from xray_drake.station.scenario import Scenario
 
@@ -73,15 +73,9 @@ class InteractiveSearch:
         diagram = build_search_diagram(
             self._scenario, meshcat=self._meshcat, progress=self._progress
         )
-        self._simulator = Simulator(diagram)
-        ApplySimulatorConfig(self._scenario.simulator_config, self._simulator)
-        self._monitor = attach_monitor(
-            self._simulator,
-            diagram,
-            observers=(
-                SearchDrawing(self._meshcat),
-                *self._observers,
-            ),
+        drawing = SearchDrawing(self._meshcat)
+        self._simulator, self._monitor = begin_search(
+            diagram, observers=(drawing, *self._observers)
         )
         self._running, self._until = False, 0
         self._simulator.Initialize()

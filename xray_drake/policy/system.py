@@ -3,16 +3,12 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    InputPort,
-    State,
-)
+from pydrake.systems.framework import Context, EventStatus, InputPort, State
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
@@ -32,8 +28,7 @@ from xray_drake.occupancy.system import OccupancyModel
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.planning import (
     FailedGrasp,
-    PlansOnImages,
-    PlansOnModels,
+    PlansGrasps,
     place_of,
     planning_on_images,
     planning_on_models,
@@ -76,27 +71,10 @@ class Foresight:
     Attributes:
         inference: infers where the target could be then.
         target_size: (3,) length, width, thickness of the target, m.
-        width, height: of the images, pixels.
     """
 
     inference: OccupancyModel
     target_size: np.ndarray
-    width: int = 512
-    height: int = 384
-
-
-@dataclass(frozen=True)
-class DepthGrasps:
-    """What planning grasps from depth, without any model, needs.
-
-    Attributes:
-        planner: finds grasps.
-        width, height: of the images, pixels.
-    """
-
-    planner: PlansOnImages
-    width: int = 512
-    height: int = 384
 
 
 class SearchPolicy(CollectableLeafSystem):
@@ -138,13 +116,15 @@ class SearchPolicy(CollectableLeafSystem):
         self,
         *,
         ranking: Ranking,
-        planner: PlansOnModels | DepthGrasps,
+        planner: PlansGrasps[Any],
         bodies: Mapping[str, int] | None = None,
         target_first: bool = True,
         min_visible_pixels: int = 50,
         min_grasp_quality: float = 0.0,
         foresight: Foresight | None = None,
         truth: bool = False,
+        width: int = 512,
+        height: int = 384,
         seed: int = 0,
         period: float = PERIOD,
     ) -> None:
@@ -152,9 +132,10 @@ class SearchPolicy(CollectableLeafSystem):
 
         Args:
             ranking: scores the objects; the only thing policies differ in.
-            planner: finds grasps, from models or from depth.
-            bodies: object name to its index in ``body_poses``; for planning
-                from models.
+            planner: finds grasps: with ``bodies`` it plans on models
+                (:data:`~xray_drake.policy.planning.PlansOnModels`), else on
+                what is seen (``PlansOnImages``).
+            bodies: object name to its index in ``body_poses``.
             target_first: grasp the target whenever there is a grasp on it.
             min_visible_pixels: objects with fewer are not candidates.
             min_grasp_quality: a weaker grasp is taken only where no candidate
@@ -162,27 +143,23 @@ class SearchPolicy(CollectableLeafSystem):
                 this; then the first of the weak ones is.
             foresight: for rankings that imagine removals.
             truth: for rankings that know where the target is.
+            width: of the images, pixels.
+            height: of the images, pixels.
             seed: of the ranking's random generator.
             period: how often it checks for an idle gripper, s.
-
-        Raises:
-            ValueError: planning from models without ``bodies``.
         """
-        from_depth = isinstance(planner, DepthGrasps)
-        if not from_depth and bodies is None:
-            raise ValueError("planning from models needs bodies")
         super().__init__()
         self.set_name("search_policy")
         self._ranking = ranking
         self._planner = planner
-        self._bodies = dict(bodies or {})
+        self._bodies = bodies
         self._target_first = target_first
         self._min_pixels = min_visible_pixels
         self._min_quality = min_grasp_quality
         self._seed = seed
         self._foresight = foresight
         self._truth = truth
-        self._declare_inputs()
+        self._declare_inputs(width, height)
         self._memory = self.DeclareAbstractState(Value(Decision()))
         self.DeclareAbstractOutputPort(
             "action",
@@ -194,26 +171,22 @@ class SearchPolicy(CollectableLeafSystem):
             period_sec=period, offset_sec=0.0, update=self._update
         )
 
-    def _declare_inputs(self) -> None:
-        planner, foresight = self._planner, self._foresight
+    def _declare_inputs(self, width: int, height: int) -> None:
+        image = ImageDepth32F(width, height)
         self._occupancy = self.declare_input(
             "occupancy", OccupancyDistribution()
         )
         self._instances = self.declare_input("instances", InstanceMasks())
         self._target_mask = self.declare_input("target_mask", TargetMask())
         self._status = self.declare_input("status", GripperStatus())
-        if isinstance(planner, DepthGrasps):
-            image = ImageDepth32F(planner.width, planner.height)
+        if self._bodies is None:
             self._seen_depth = self.declare_input("seen_depth_image", image)
         else:
             self._poses = self.declare_input("body_poses", [RigidTransform()])
-        if foresight is not None:
-            image = ImageDepth32F(foresight.width, foresight.height)
+        if self._foresight is not None:
             self._depth_image = self.declare_input("depth_image", image)
-        sized = foresight or planner
-        if isinstance(sized, Foresight | DepthGrasps):
-            size = sized.width, sized.height
-            camera = PinholeCamera(*size, np.eye(3), np.eye(4))
+        if self._bodies is None or self._foresight is not None:
+            camera = PinholeCamera(width, height, np.eye(3), np.eye(4))
             self._camera = self.declare_input("camera", camera)
         if self._truth:
             self._true_target = self.declare_input("true_target", TargetMask())
@@ -305,14 +278,18 @@ class SearchPolicy(CollectableLeafSystem):
         failed: Sequence[FailedGrasp],
     ) -> Planning:
         planner = self._planner
-        if isinstance(planner, DepthGrasps):
-            return planning_on_images(
-                planner.planner, instances, *self._seen(context), failed
-            )
-        return planning_on_models(planner, self._object_poses(context), failed)
+        if self._bodies is None:
+            seen = self._seen(context)
+            return planning_on_images(planner, instances, *seen, failed)
+        body_poses = self._poses.Eval(context)
+        poses = {
+            name: body_poses[index].GetAsMatrix4()
+            for name, index in self._bodies.items()
+        }
+        return planning_on_models(planner, poses, failed)
 
     def _planning_inputs(self) -> list[InputPort]:
-        if isinstance(self._planner, DepthGrasps):
+        if self._bodies is None:
             return [self._seen_depth, self._camera]
         return [self._poses]
 
@@ -323,22 +300,15 @@ class SearchPolicy(CollectableLeafSystem):
     def _still_excluded(
         self, context: Context, failed: tuple[FailedGrasp, ...]
     ) -> tuple[FailedGrasp, ...]:
-        if not isinstance(self._planner, DepthGrasps):
+        if self._bodies is not None:
             return failed
         depth, camera = self._seen(context)
         return tuple(f for f in failed if still_there(f, depth, camera))
 
     def _place(self, context: Context, grasp: Grasp) -> np.ndarray:
-        if not isinstance(self._planner, DepthGrasps):
+        if self._bodies is not None:
             return np.zeros((0, 3))
         return place_of(grasp, *self._seen(context))
-
-    def _object_poses(self, context: Context) -> dict[str, np.ndarray]:
-        body_poses = self._poses.Eval(context)
-        return {
-            name: body_poses[index].GetAsMatrix4()
-            for name, index in self._bodies.items()
-        }
 
     def _outlook(
         self, context: Context, target_mask: TargetMask

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from pydrake.systems.framework import OutputPort
 
@@ -19,10 +20,10 @@ from xray_drake.perception.systems import (
 from xray_drake.policy.beyond.memory import TargetMemory
 from xray_drake.policy.beyond.memory_system import SearchMemory
 from xray_drake.policy.choice_system import ChoicePolicy
-from xray_drake.policy.planning import PlansOnModels, Poses
+from xray_drake.policy.planning import Poses
 from xray_drake.policy.ranking import largest
 from xray_drake.policy.registry import POLICIES, Policy
-from xray_drake.policy.system import DepthGrasps, Foresight, SearchPolicy
+from xray_drake.policy.system import Foresight, SearchPolicy
 from xray_drake.policy.true_target import TrueTargetMask
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
@@ -41,15 +42,18 @@ class SearchParts:
         scenario: of the search.
         heap: what lies in the bin in the default context.
         station: plant, scene graph and objects.
-        bodies: object name to its index in ``body_poses``.
         planner: plans grasps from the objects' models.
     """
 
     scenario: Scenario
     heap: Heap
     station: StationParts
-    bodies: Mapping[str, int]
     planner: GraspPlanner[Poses]
+
+    @property
+    def bodies(self) -> Mapping[str, int]:
+        """Object name to its index in ``body_poses``."""
+        return self.station.labels
 
     @property
     def image_size(self) -> dict[str, int]:
@@ -180,7 +184,6 @@ def _add_grasped_body(
     """Returns the action with the name of the body under its grasp."""
     body = boxes.add(
         lambda: GraspedBody(
-            labels=inside.station.labels,
             bodies=inside.bodies,
             parameters=inside.scenario.gripper.parameters,
             **inside.image_size,
@@ -194,33 +197,30 @@ def _add_grasped_body(
 def _policy(
     inside: SearchParts, kind: Policy, inference: OccupancyModel, *, agent: bool
 ) -> SearchPolicy:
-    scenario, size = inside.scenario, inside.image_size
+    scenario = inside.scenario
     gripper, config = scenario.gripper, scenario.policy
-    planner: PlansOnModels | DepthGrasps = inside.planner
-    if gripper.grasps == "depth":
-        planner = DepthGrasps(
-            GraspPlanner(
-                DepthEvidence(
-                    parameters=gripper.parameters,
-                    config=gripper.depth_planner,
-                    seed=scenario.seed,
-                )
-            ),
-            **size,
+    planner: GraspPlanner[Any] = inside.planner
+    from_depth = gripper.grasps == "depth"
+    if from_depth:
+        planner = GraspPlanner(
+            DepthEvidence(
+                parameters=gripper.parameters,
+                config=gripper.depth_planner,
+                seed=scenario.seed,
+            )
         )
-    foresight = Foresight(
-        inference, size_in_any_pose(inside.heap.target), **size
-    )
+    foresight = Foresight(inference, size_in_any_pose(inside.heap.target))
     return (ChoicePolicy if agent else SearchPolicy)(
         ranking=kind.ranking,
         planner=planner,
-        bodies=inside.bodies,
+        bodies=None if from_depth else inside.bodies,
         target_first=config.target_first,
         min_visible_pixels=config.min_visible_pixels,
         min_grasp_quality=config.min_grasp_quality,
         foresight=foresight if kind.outlook else None,
         truth=kind.truth,
         seed=scenario.seed,
+        **inside.image_size,
     )
 
 

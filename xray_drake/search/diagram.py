@@ -116,7 +116,7 @@ def build_search_diagram(
             seed=scenario.seed,
         )
     )
-    inside = SearchParts(scenario, heap, parts, parts.labels, planner)
+    inside = SearchParts(scenario, heap, parts, planner)
     replaced = {n: _replacement(n, b, inside) for n, b in replace.items()}
     controller, *sensors = add_execution(
         builder, scenario, station, parts, heap, planner, meshcat=meshcat

@@ -51,9 +51,7 @@ def add_execution(
     Returns:
         All that was added, the controller first.
     """
-    bodies = {
-        name: int(item.body.index()) for name, item in parts.objects.items()
-    }
+    bodies = parts.labels
     if parts.gripper is None:
         added, wires = _quasi_static(
             builder, scenario, station, heap, bodies, judge

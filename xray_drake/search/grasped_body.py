@@ -100,7 +100,6 @@ class GraspedBody(CollectableLeafSystem):
     def __init__(
         self,
         *,
-        labels: Mapping[str, int],
         bodies: Mapping[str, int],
         parameters: GripperParameters | None = None,
         width: int = 512,
@@ -109,15 +108,14 @@ class GraspedBody(CollectableLeafSystem):
         """Declares the ports.
 
         Args:
-            labels: object name to its value in the label image.
-            bodies: object name to its index in ``body_poses``.
+            bodies: object name to its index in ``body_poses``, which is its
+                value in the label image.
             parameters: of the gripper.
             width: of the images, pixels.
             height: of the images, pixels.
         """
         super().__init__()
         self.set_name("grasped_body")
-        self._names = dict(labels)
         self._bodies = dict(bodies)
         self._parameters = parameters or GripperParameters()
         self._action = self.declare_input("action", SearchAction())
@@ -135,10 +133,7 @@ class GraspedBody(CollectableLeafSystem):
             "action",
             alloc=lambda: Value(SearchAction()),
             calc=self._calc_action,
-            prerequisites_of_calc={
-                self.get_input_port(i).ticket()
-                for i in range(self.num_input_ports())
-            },
+            prerequisites_of_calc={self.all_input_ports_ticket()},
         )
 
     def _calc_action(self, context: Context, output: AbstractValue) -> None:
@@ -154,7 +149,7 @@ class GraspedBody(CollectableLeafSystem):
             self._label_image.Eval(context).data[:, :, 0],
             self._depth_image.Eval(context).data[:, :, 0].astype(float),
             self._camera.Eval(context),
-            self._names,
+            self._bodies,
             self._parameters,
         )
         if not name:

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, EventStatus
 
 from xray_drake.geometry.silhouette import project_mesh_mask
@@ -321,6 +321,20 @@ def judge_outcome(
     if felt is Outcome.LIFTED:
         return Outcome.SLIPPED, "it fell off unnoticed"
     return felt, reason
+
+
+def begin_search(
+    diagram: SearchDiagram, *, observers: tuple[Observer, ...] = ()
+) -> tuple[Simulator, SearchMonitor]:
+    """Returns a simulator as the scenario wants it, and the monitor in it.
+
+    Args:
+        diagram: the search.
+        observers: told of decisions and of ends of actions.
+    """
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(diagram.scenario.simulator_config, simulator)
+    return simulator, attach_monitor(simulator, diagram, observers=observers)
 
 
 def attach_monitor(

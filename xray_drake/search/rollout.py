@@ -4,10 +4,9 @@ from collections.abc import Callable
 from functools import partial
 
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
-from xray_drake.search.monitor import Observer, attach_monitor
+from xray_drake.search.monitor import Observer, begin_search
 from xray_drake.search.record import SearchRecord
 from xray_drake.search.transitions import TransitionRecall, Transitions
 from xray_drake.station.scenario import Scenario
@@ -52,13 +51,11 @@ def run_search(
         search = build_search_diagram(
             search, meshcat=meshcat, progress=progress
         )
-    simulator = Simulator(search)
-    ApplySimulatorConfig(search.scenario.simulator_config, simulator)
     recall = None
     if transitions is not None:
         recall = TransitionRecall(search, transitions)
         observers += (recall,)
-    monitor = attach_monitor(simulator, search, observers=observers)
+    simulator, monitor = begin_search(search, observers=observers)
     if recall is not None:
         simulator.set_monitor(partial(recall.stops, monitor))
     record = monitor.record

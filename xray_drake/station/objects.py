@@ -150,8 +150,21 @@ def make_heap(
     attempts = 0
     failures: tuple[str, ...] = ()
     for redrawn in range(_MOST_REDRAWS + 1):
-        drawn = replace(scenario, seed=_heap_seed(scenario.seed, redrawn))
-        heap = _drop(drawn, library, snapshots, progress)
+        drawn = scenario
+        if redrawn:
+            rng = stream(scenario.seed, "redraw", redrawn)
+            drawn = replace(scenario, seed=int(rng.integers(2**62)))
+        objects = choose_objects(drawn, library)
+        heap = drop_heap(
+            target_model(scenario.scene.target),
+            objects,
+            drawn.seed,
+            config=scenario.scene.heap,
+            contact=scenario.scene.contact,
+            snapshots=snapshot_counts(len(objects), snapshots),
+            plant_config=scenario.plant_config,
+            progress=progress,
+        )
         attempts, failures = attempts + heap.attempts, failures + heap.failures
         if (
             most_visible == 1
@@ -172,13 +185,6 @@ def make_heap(
         f"than {most_visible:.0%} of the target was seen: drop more objects, "
         "or raise scene.most_visible"
     )
-
-
-def _heap_seed(seed: int, redrawn: int) -> int:
-    """Returns the seed of a heap that is drawn again; at first the own one."""
-    if not redrawn:
-        return seed
-    return int(stream(seed, "redraw", redrawn).integers(2**62))
 
 
 def snapshot_counts(num_objects: int, snapshots: int) -> tuple[int, ...]:
@@ -202,22 +208,3 @@ def snapshot_counts(num_objects: int, snapshots: int) -> tuple[int, ...]:
             "snapshots: take more objects, or fewer snapshots"
         )
     return numbers
-
-
-def _drop(
-    scenario: Scenario,
-    library: Mapping[str, ObjectModel] | None,
-    snapshots: int,
-    progress: Callable[[float], None] | None,
-) -> Heap:
-    objects = choose_objects(scenario, library)
-    return drop_heap(
-        target_model(scenario.scene.target),
-        objects,
-        scenario.seed,
-        config=scenario.scene.heap,
-        contact=scenario.scene.contact,
-        snapshots=snapshot_counts(len(objects), snapshots),
-        plant_config=scenario.plant_config,
-        progress=progress,
-    )
