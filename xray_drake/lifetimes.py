@@ -60,6 +60,34 @@ class CollectableLeafSystem(LeafSystem):
         """Declares an abstract input port that takes what ``model`` is."""
         return self.DeclareAbstractInputPort(name, Value(model))
 
+    def declare_output(
+        self,
+        name: str,
+        model: Any,
+        compute: Callable[[Context], Any],
+        *sources: Any,
+    ) -> LeafOutputPort:
+        """Declares an abstract output port.
+
+        Args:
+            name: of the port.
+            model: what it gives is of the type of this.
+            compute: returns what it gives.
+            *sources: the input ports, cache entries and tickets that this
+                depends on; by default all input ports.
+        """
+        computed = _weak(compute)
+        tickets = {
+            s if isinstance(s, DependencyTicket) else s.ticket()
+            for s in sources
+        }
+        return super().DeclareAbstractOutputPort(
+            name,
+            alloc=lambda: Value(model),
+            calc=lambda context, output: output.set_value(computed(context)),
+            prerequisites_of_calc=tickets or {self.all_input_ports_ticket()},
+        )
+
     def DeclareCacheEntry(
         self,
         *,

@@ -22,10 +22,17 @@ class Message:
         return self
 
 
-def _frozen_array(message: Message, name: str, dtype: type) -> None:
-    array: np.ndarray = np.array(getattr(message, name), dtype=dtype)
-    array.setflags(write=False)
-    object.__setattr__(message, name, array)
+def freeze_arrays(message: Message, **kinds: type) -> None:
+    """Has a message keep read-only arrays of its own.
+
+    Args:
+        message: just made.
+        **kinds: name of the attribute to the type of its numbers.
+    """
+    for name, kind in kinds.items():
+        array: np.ndarray = np.array(getattr(message, name), dtype=kind)
+        array.setflags(write=False)
+        object.__setattr__(message, name, array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +46,7 @@ class TargetMask(Message):
     data: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
 
     def __post_init__(self) -> None:
-        _frozen_array(self, "data", bool)
+        freeze_arrays(self, data=bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +67,7 @@ class InstanceMasks(Message):
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _frozen_array(self, "labels", np.int32)
+        freeze_arrays(self, labels=np.int32)
 
     def areas(self) -> np.ndarray:
         """Returns the (len(names),) visible pixels of each object."""
@@ -97,7 +104,7 @@ class OccupancyDistribution(Message):
     method: str = "none"
 
     def __post_init__(self) -> None:
-        _frozen_array(self, "data", np.float32)
+        freeze_arrays(self, data=np.float32)
 
     def support(self) -> np.ndarray:
         """Returns the (H, W) bool support (paper section III.D)."""
@@ -152,8 +159,7 @@ class Grasp(Message):
     quality: float = 0.0
 
     def __post_init__(self) -> None:
-        _frozen_array(self, "X_WG", float)
-        _frozen_array(self, "X_OG", float)
+        freeze_arrays(self, X_WG=float, X_OG=float)
 
     def __bool__(self) -> bool:
         return self.kind is not GraspKind.NONE

@@ -14,7 +14,7 @@ from tests.policy.blocks import (
     target_block,
 )
 from tests.policy.blocks import view as blocks_view
-from xray_drake.messages import Grasp, RankedCandidate
+from xray_drake.messages import Grasp, GraspKind, RankedCandidate
 from xray_drake.policy.beyond.chance import chance
 from xray_drake.policy.beyond.grasp_aware import GraspAware
 from xray_drake.policy.beyond.lookahead import Lookahead
@@ -158,3 +158,16 @@ def test_what_imagining_needs_is_named(ranking: Ranking) -> None:
     for lacking in (replace(seen, outlook=None), replace(seen, plan=None)):
         with pytest.raises(ValueError, match="an outlook and a planner"):
             ranking(lacking, np.random.default_rng(0))
+
+
+def test_better_grasps_have_better_chances_between_what_was_counted() -> None:
+    grasps = [
+        Grasp(GraspKind.SUCTION, "cup", quality=quality)
+        for quality in np.linspace(0.01, 1.0, 100)
+    ]
+    chances = [chance(grasp) for grasp in grasps]
+    assert chances == sorted(chances)
+    assert chances[:20] == [0.5] * 20
+    assert chances[-30:] == pytest.approx([0.94] * 30)
+    assert len(set(chances)) > 40
+    assert chance(Grasp()) == 0.0

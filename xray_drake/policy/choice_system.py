@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from xray_drake.messages import (
@@ -73,31 +72,24 @@ class ChoicePolicy(SearchPolicy):
         """
         super().__init__(**settings)
         self._choice = self.declare_input("choice", Choice())
-        self._options = self.DeclareAbstractOutputPort(
+        self._options = self.declare_output(
             "options",
-            alloc=lambda: Value(GraspOptions()),
-            calc=self._calc_options,
-            prerequisites_of_calc={
-                self._instances.ticket(),
-                *(port.ticket() for port in self._planning_inputs()),
-                self._status.ticket(),
-                self.abstract_state_ticket(self._memory),
-            },
+            GraspOptions(),
+            self._possible,
+            self._instances,
+            *self._planning_inputs(),
+            self._status,
+            self.abstract_state_ticket(self._memory),
         )
 
-    def _calc_options(self, context: Context, output: AbstractValue) -> None:
+    def _possible(self, context: Context) -> GraspOptions:
         instances: InstanceMasks = self._instances.Eval(context)
         names = candidates(instances, min_pixels=self._min_pixels)
         failed = self._still_excluded(context, self._failed(context))
         plan = self._planning(context, instances, failed)
         qualities = tuple(plan(name).grasp.quality for name in names)
-        output.set_value(
-            GraspOptions(
-                names,
-                qualities,
-                valid_options(names, qualities, min_quality=self._min_quality),
-            )
-        )
+        valid = valid_options(names, qualities, min_quality=self._min_quality)
+        return GraspOptions(names, qualities, valid)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         decided: SearchAction = self.GetOutputPort("action").Eval(context)

@@ -9,7 +9,13 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
 from xray_drake.grasping.evidence.depth import SeenObject
-from xray_drake.messages import Grasp, GraspPlan, InstanceMasks, Message
+from xray_drake.messages import (
+    Grasp,
+    GraspPlan,
+    InstanceMasks,
+    Message,
+    freeze_arrays,
+)
 from xray_drake.policy.ranking import Planning
 from xray_drake.policy.removal import Removal
 
@@ -74,9 +80,7 @@ class FailedGrasp(Message):
     place: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        place = np.array(self.place, dtype=float)
-        place.setflags(write=False)
-        object.__setattr__(self, "place", place)
+        freeze_arrays(self, place=float)
 
 
 def _each_once(

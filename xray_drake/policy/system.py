@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, InputPort, State
 from pydrake.systems.sensors import ImageDepth32F
@@ -161,12 +161,8 @@ class SearchPolicy(CollectableLeafSystem):
         self._truth = truth
         self._declare_inputs(width, height)
         self._memory = self.DeclareAbstractState(Value(Decision()))
-        self.DeclareAbstractOutputPort(
-            "action",
-            alloc=lambda: Value(SearchAction()),
-            calc=self._calc_action,
-            prerequisites_of_calc={self.abstract_state_ticket(self._memory)},
-        )
+        ticket = self.abstract_state_ticket(self._memory)
+        self.declare_output("action", SearchAction(), self._action, ticket)
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             period_sec=period, offset_sec=0.0, update=self._update
         )
@@ -191,29 +187,30 @@ class SearchPolicy(CollectableLeafSystem):
         if self._truth:
             self._true_target = self.declare_input("true_target", TargetMask())
 
-    def _calc_action(self, context: Context, output: AbstractValue) -> None:
-        memory: Decision = context.get_abstract_state(self._memory).get_value()
-        output.set_value(memory.action)
+    def _last(self, context: Context) -> Decision:
+        return context.get_abstract_state(self._memory).get_value()
+
+    def _action(self, context: Context) -> SearchAction:
+        return self._last(context).action
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        memory: Decision = context.get_abstract_state(self._memory).get_value()
+        number = self._last(context).action.number
         status: GripperStatus = self._status.Eval(context)
-        if not status.has_done(memory.action.number):
+        if not status.has_done(number):
             return EventStatus.DidNothing()
         failed = self._failed(context)
         state.get_mutable_abstract_state(self._memory).set_value(
-            self._decide(context, memory.action.number + 1, failed)
+            self._decide(context, number + 1, failed)
         )
         return EventStatus.Succeeded()
 
     def _failed(self, context: Context) -> tuple[FailedGrasp, ...]:
         """Returns the grasps that failed, that of the last action included."""
-        memory: Decision = context.get_abstract_state(self._memory).get_value()
+        last = self._last(context)
         status: GripperStatus = self._status.Eval(context)
         if status.outcome in (Outcome.FAILED, Outcome.SLIPPED):
-            latest = FailedGrasp(memory.action.grasp, memory.place)
-            return *memory.failed, latest
-        return memory.failed
+            return *last.failed, FailedGrasp(last.action.grasp, last.place)
+        return last.failed
 
     def _ranked(
         self, context: Context, view: SearchView, number: int
@@ -342,8 +339,8 @@ class SearchPolicy(CollectableLeafSystem):
             Candidate to its best grasp; without those that have none.
         """
         instances: InstanceMasks = self._instances.Eval(context)
-        memory: Decision = context.get_abstract_state(self._memory).get_value()
-        plan = self._planning(context, instances, memory.failed)
+        failed = self._last(context).failed
+        plan = self._planning(context, instances, failed)
         planned = {name: plan(name).grasp for name in names}
         return {name: grasp for name, grasp in planned.items() if grasp}
 

@@ -1,7 +1,6 @@
 """The LeafSystem that tells the oracle where the target is."""
 
 import numpy as np
-from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 
@@ -45,18 +44,11 @@ class TrueTargetMask(CollectableLeafSystem):
         self._camera = self.declare_input(
             "camera", PinholeCamera(1, 1, np.eye(3), np.eye(4))
         )
-        self.DeclareAbstractOutputPort(
-            "target_mask",
-            alloc=lambda: Value(TargetMask()),
-            calc=self._calc_mask,
-            prerequisites_of_calc={self.all_input_ports_ticket()},
-        )
+        self.declare_output("target_mask", TargetMask(), self._mask)
 
-    def _calc_mask(self, context: Context, output: AbstractValue) -> None:
+    def _mask(self, context: Context) -> TargetMask:
         X_WT = self._poses.Eval(context)[self._body].GetAsMatrix4()
         camera: PinholeCamera = self._camera.Eval(context)
-        output.set_value(
-            TargetMask(
-                project_mesh_mask(self._vertices, self._faces, X_WT, camera)
-            )
+        return TargetMask(
+            project_mesh_mask(self._vertices, self._faces, X_WT, camera)
         )

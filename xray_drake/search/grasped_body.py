@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
@@ -129,21 +128,15 @@ class GraspedBody(CollectableLeafSystem):
             "camera", PinholeCamera(width, height, np.eye(3), np.eye(4))
         )
         self._poses = self.declare_input("body_poses", [RigidTransform()])
-        self.DeclareAbstractOutputPort(
-            "action",
-            alloc=lambda: Value(SearchAction()),
-            calc=self._calc_action,
-            prerequisites_of_calc={self.all_input_ports_ticket()},
-        )
+        self.declare_output("action", SearchAction(), self._grounded)
 
-    def _calc_action(self, context: Context, output: AbstractValue) -> None:
+    def _grounded(self, context: Context) -> SearchAction:
         action: SearchAction = self._action.Eval(context)
-        if action.grasp:
-            action = replace(action, grasp=self._grounded(context, action))
-        output.set_value(action)
+        if not action.grasp:
+            return action
+        return replace(action, grasp=self._on_body(context, action.grasp))
 
-    def _grounded(self, context: Context, action: SearchAction) -> Grasp:
-        grasp = action.grasp
+    def _on_body(self, context: Context, grasp: Grasp) -> Grasp:
         name = body_under_grasp(
             grasp,
             self._label_image.Eval(context).data[:, :, 0],

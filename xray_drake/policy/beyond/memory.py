@@ -13,7 +13,7 @@ import numpy as np
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor, observed_heights
 from xray_drake.geometry.readings import depth_readings
-from xray_drake.messages import Message
+from xray_drake.messages import Message, freeze_arrays
 from xray_drake.occupancy.observation import check_shapes
 from xray_drake.policy.beyond.shifts import (
     Look,
@@ -47,10 +47,7 @@ class Belief(Message):
     number: int = -1
 
     def __post_init__(self) -> None:
-        for name in ("recalled", "empty"):
-            array = np.array(getattr(self, name), dtype=bool)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        freeze_arrays(self, recalled=bool, empty=bool)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 
 from xray_drake.geometry.readings import has_reading
-from xray_drake.messages import InstanceMasks, Message, TargetMask
+from xray_drake.messages import (
+    InstanceMasks,
+    Message,
+    TargetMask,
+    freeze_arrays,
+)
 from xray_drake.perception.ground_truth import target_instance
 
 _SHARE = 0.9
@@ -31,10 +36,7 @@ class Look(Message):
     instances: InstanceMasks = field(default_factory=InstanceMasks)
 
     def __post_init__(self) -> None:
-        for name, kind in (("depth", np.float32), ("target", bool)):
-            array = np.array(getattr(self, name), dtype=kind)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        freeze_arrays(self, depth=np.float32, target=bool)
 
     @property
     def target_name(self) -> str:
