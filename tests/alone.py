@@ -2,11 +2,10 @@
 
 from typing import Any
 
-import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import System
-from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
+
+from tests.ports import fix_inputs
 
 
 class Alone:
@@ -24,19 +23,8 @@ class Alone:
         self.fix(**inputs)
 
     def fix(self, **inputs: Any) -> None:
-        """Fixes inputs by their names; (H, W) arrays become images."""
-        for name, value in inputs.items():
-            if isinstance(value, np.ndarray) and value.ndim == 2:
-                floats = np.issubdtype(value.dtype, np.floating)
-                image = (ImageDepth32F if floats else ImageLabel16I)(
-                    *value.shape[::-1]
-                )
-                image.mutable_data[:, :, 0] = value
-                value = image
-            plain = isinstance(value, np.ndarray)
-            self.system.GetInputPort(name).FixValue(
-                self.context, value if plain else AbstractValue.Make(value)
-            )
+        """Fixes inputs by their names, as `fix_inputs` does."""
+        fix_inputs(self.system, self.context, **inputs)
 
     def advance(self, duration: float = 0.2) -> None:
         self._simulator.AdvanceTo(self.context.get_time() + duration)

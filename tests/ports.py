@@ -40,13 +40,19 @@ def ports(system: System) -> tuple[list[str], list[str]]:
 
 
 def fix_inputs(system: System, context: Context, **inputs: Any) -> None:
-    """Fixes abstract input ports; arrays become images of the port's kind."""
+    """Fixes input ports; arrays become vectors, or images of the port's kind.
+
+    All else is an abstract value.
+    """
     for name, value in inputs.items():
-        if isinstance(value, np.ndarray):
-            image = IMAGES[name](value.shape[1], value.shape[0])
+        if not isinstance(value, np.ndarray):
+            value = AbstractValue.Make(value)
+        elif value.ndim > 1:
+            kind = IMAGES[name.removeprefix("seen_")]
+            image = kind(value.shape[1], value.shape[0])
             image.mutable_data[:] = value.reshape(*value.shape[:2], -1)
-            value = image
-        system.GetInputPort(name).FixValue(context, AbstractValue.Make(value))
+            value = AbstractValue.Make(image)
+        system.GetInputPort(name).FixValue(context, value)
 
 
 def context_with(system: System, **inputs: Any) -> Context:
