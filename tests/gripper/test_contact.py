@@ -123,14 +123,6 @@ class Script:
         return self.gripper.carrier.pose(joints) @ X_BG
 
 
-def test_nothing_happens_without_a_command(gripper):
-    script = Script(gripper)
-    for _ in range(20):
-        script.step(SearchAction())
-    assert script.stages == [Phase.IDLE]
-    np.testing.assert_allclose(script.way[-1][3], gripper.carrier.home)
-
-
 @pytest.fixture(scope="module")
 def whole(gripper):
     """A jaw grasp from start to end."""

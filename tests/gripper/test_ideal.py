@@ -27,7 +27,7 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.scene.object_model import object_from_pieces
-from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_tote
+from xray_drake.scene.plant import inside_tote
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
 
@@ -307,28 +307,3 @@ def test_it_does_not_wait_for_ever_nor_follow(X_WO, timeout, height):
     assert cell.status.outcome is Outcome.LIFTED
     assert inside_tote(way[-1])
     assert way[:, 2].min() > 0.0
-
-
-def test_what_the_status_says_of_an_object_alone_in_the_bin():
-    """It settles between the lift and the way to the tote."""
-    cell = Cell({"brick": POSES["brick"]})
-    cell.fix(action=take("brick"))
-    said = []
-    while cell.context.get_time() < 4.0:
-        cell.advance(0.02)
-        status = cell.status
-        now = (status.stirring, status.settling, status.held, status.loose)
-        if not said or said[-1] != now:
-            said.append(now)
-            if status.settling:  # all the way up
-                assert cell.height("brick") > BIN_WALL_HEIGHT + 0.05
-    assert said == [
-        (False, False, "", ()),
-        (True, False, "brick", ("brick",)),
-        (True, True, "brick", ("brick",)),
-        (False, False, "brick", ("brick",)),
-        (False, False, "", ("brick",)),
-        (False, False, "", ()),
-    ]
-    assert status.outcome is Outcome.LIFTED
-    assert inside_tote(cell.pose("brick")[:3, 3])

@@ -47,12 +47,6 @@ def test_yaw_stays_where_it_says_nothing(pitch):
     np.testing.assert_allclose(WRIST.pose(found), WRIST.pose(q), atol=1e-9)
 
 
-def test_jaw_down_and_cup_down_are_alike_in_reach():
-    for pitch, axis in ((-np.pi / 4, 2), (np.pi / 4, 0)):
-        X_WT = WRIST.pose(np.array([0, 0, 0.5, 0.3, pitch, 0]))
-        np.testing.assert_allclose(X_WT[:3, axis], [0, 0, -1], atol=1e-12)
-
-
 def test_out_of_reach_says_which_way():
     X_WT = np.eye(4)
     X_WT[:3, 3] = 2.0, 0.0, -0.1
