@@ -7,6 +7,7 @@ from xray_drake.grasping.gripper_geometry import (
     GripperParameters,
     load_gripper_geometry,
 )
+from xray_drake.messages import GraspKind
 from xray_drake.resources import models_dir
 
 FOLDER = models_dir() / "gripper"
@@ -50,6 +51,8 @@ def test_boxes_and_frames():
     assert sorted(gripper.closing) == [-1, 0, 0, 0, 1]
     assert gripper.round.sum() == 2
     assert np.all(gripper.upper > gripper.lower)
+    # Across their axes boxes stand in for the cylinders.
+    assert not gripper.approach(GraspKind.JAW, 0.1, 0.002).round.any()
     # The cup's lip is the farthest point to its side, and looks that way.
     assert gripper.X_BC[0, 3] == pytest.approx(gripper.upper[:, 0].max())
     np.testing.assert_allclose(gripper.X_BC[:3, 2], [1, 0, 0], atol=1e-12)

@@ -11,7 +11,7 @@ from xray_drake.grasping.evidence.sampling import (
     seal_cups,
 )
 from xray_drake.grasping.judgement import Lip
-from xray_drake.grasping.seal import RING_POINTS
+from xray_drake.grasping.seal import RING_POINTS, frame_from_z
 
 FRICTION = 0.5
 LIP = Lip(0.015, 0.001, np.deg2rad(15.0))
@@ -142,3 +142,13 @@ def test_a_tilted_cup_finds_the_plane_it_meets():
     assert seal.nearest[0] == pytest.approx(
         middle - 0.015 * np.tan(angle), abs=1e-6
     )
+
+
+def test_frames_are_rotations():
+    z = np.random.default_rng(0).normal(size=(50, 3))
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    R = frame_from_z(z)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    np.testing.assert_allclose(R[..., 2], z)
+    unit = np.broadcast_to(np.eye(3), R.shape)
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), unit, atol=1e-12)

@@ -14,6 +14,7 @@ from xray_drake.gripper.suction import (
     Cup,
     CupState,
     HeldBody,
+    SuctionConfig,
     deflection_of,
     hold,
     implicit_wrench,
@@ -226,6 +227,11 @@ def test_directions_do_not_matter(seed):
     )
     a, b = (hold(CUP, SEALED, held, STEP).wrench for held in (plain, other))
     np.testing.assert_allclose(turned(R, a), b, atol=1e-9)
+
+
+def test_the_damping_is_what_is_configured():
+    cup = Cup(config=SuctionConfig(damping_time=0.02))
+    np.testing.assert_allclose(cup.damping, 0.02 * CUP.stiffness)
 
 
 def test_a_deflection():

@@ -283,3 +283,6 @@ def test_pads_meet_the_hard_surfaces_and_nothing_else_does(scene):
         assert frozenset({"piece", other}) in touching
     touching = scene.touching((0.1, 0.1, 0.001), -0.1, -0.2)
     assert frozenset({PAD, "floor"}) in touching
+    inspector = scene.scene_graph.model_inspector()
+    names = [inspector.GetName(i) for i in inspector.GetAllGeometryIds()]
+    assert sum(f"::{GRIP}_" in name for name in names) == 2 * 2  # of pieces

@@ -126,12 +126,10 @@ class GripperModel:
             self.config.seal_tolerance,
             self.config.seal_angle,
         )
-        fingers = self.geometry.closing != 0
-        y = [
-            corner[fingers][0, 1]
-            for corner in (self.geometry.lower, self.geometry.upper)
-        ]
-        self._tip_y = float(np.ptp(y))
+        finger = int(np.flatnonzero(self.geometry.closing)[0])
+        self._tip_y = float(
+            self.geometry.upper[finger, 1] - self.geometry.lower[finger, 1]
+        )
 
     def opening(self, width: np.ndarray) -> np.ndarray:
         """Returns the (...) openings with which the jaw descends, m.

@@ -76,24 +76,17 @@ class GripperController(TransferSystem[ContactState, Measured]):
         self._fingers = self.DeclareVectorInputPort("finger_state", 4)
         self._cup = self.declare_input("cup_state", CupState())
         self._at_rest = self.DeclareVectorInputPort("at_rest", 1)
-        self.DeclareVectorOutputPort(
-            "carrier_desired_state",
-            size,
-            self._calc_carrier,
-            prerequisites_of_calc={self._ticket, self.time_ticket()},
-        )
-        self.DeclareVectorOutputPort(
-            "finger_desired_state",
-            4,
-            self._calc_fingers,
-            prerequisites_of_calc={self._ticket},
-        )
-        self.DeclareVectorOutputPort(
-            "suction",
-            1,
-            self._calc_suction,
-            prerequisites_of_calc={self._ticket},
-        )
+        for name, length, calc in (
+            ("carrier_desired_state", size, self._calc_carrier),
+            ("finger_desired_state", 4, self._calc_fingers),
+            ("suction", 1, self._calc_suction),
+        ):
+            self.DeclareVectorOutputPort(
+                name,
+                length,
+                calc,
+                prerequisites_of_calc={self._ticket, self.time_ticket()},
+            )
 
     def _calc_carrier(self, context: Context, output: BasicVector) -> None:
         q, v = self.state(context).path.sample(context.get_time())

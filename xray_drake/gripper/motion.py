@@ -7,6 +7,7 @@ import numpy as np
 from pydrake.math import RotationMatrix
 from scipy.spatial.transform import Rotation
 
+from xray_drake.grasping.judgement import GRAVITY
 from xray_drake.messages import Message
 
 _SHORTEST = 0.2
@@ -118,7 +119,6 @@ class Grip:
         p_WCom: np.ndarray,
         w_WO: np.ndarray,
         v_WCom: np.ndarray,
-        gravity: float = 9.81,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns the wrench that draws a body to a moving pose.
 
@@ -138,7 +138,6 @@ class Grip:
             p_WCom: (3,) centre of mass, m.
             w_WO: (3,) angular velocity, rad/s.
             v_WCom: (3,) velocity of the centre of mass, m/s.
-            gravity: to hold the body against, m/s².
 
         Returns:
             (3,) torque in N·m and (3,) force in N at the centre of mass, in
@@ -152,7 +151,7 @@ class Grip:
         size = float(np.linalg.norm(pull))
         if size > self.force:
             pull *= self.force / size
-        force = pull + mass * (a + np.array([0.0, 0.0, gravity]))
+        force = pull + mass * (a + np.array([0.0, 0.0, GRAVITY]))
 
         K, C = K * self.arm**2, C * self.arm**2
         error = RotationMatrix(X[:3, :3] @ R_WO.T).ToAngleAxis()
