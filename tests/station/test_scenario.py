@@ -175,6 +175,12 @@ scene: {most_visible: 90} | scene.most_visible is 90: it must be from 0 to 1
 scene: {packaged: true, packaged_share: -0.1}
     | scene.packaged_share is -0.1: it must be from 0 to 1
 scene: {packaged_share: 0.2} | scene.packaged_share needs scene.packaged: true
+gripper: {quasi_static: {approach_time: 0}} | quasi_static.approach_time is 0
+gripper: {contact: {touch_speed: 0}} | gripper.contact.touch_speed is 0
+perception: {depth_segmenter: {arm: 0}} | depth_segmenter.arm is 0
+perception: {geometric: {rotations: 0}} | geometric.rotations is 0
+scene: {heap: {max_attempts: 0}} | scene.heap.max_attempts is 0
+scene: {contact: {tumble_time: 0}} | scene.contact.tumble_time is 0
 perception: {exact: {cell: 0}} | perception.geometric.cell is 0
 simulator_config: {accuracy: -1} | simulator_config.accuracy is -1
 simulator_config: {integration_scheme: foo}

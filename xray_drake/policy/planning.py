@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
 
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import has_reading
 from xray_drake.grasping.evidence.depth import SeenObject
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.messages import (
     Grasp,
     GraspPlan,
@@ -18,9 +18,6 @@ from xray_drake.messages import (
 )
 from xray_drake.policy.ranking import Planning
 from xray_drake.policy.removal import Removal
-
-Known = TypeVar("Known", contravariant=True)
-"""What is known of a heap."""
 
 PLACE_RADIUS = 0.04
 """What is seen this near to a grasp, across the view, is its place, m."""
@@ -33,37 +30,8 @@ PLACE_SHARE = 0.05
 """A place has changed if this share of it has: a square of 16 mm."""
 
 
-class PlansGrasps(Protocol[Known]):
-    """Anything that plans a grasp on one object of a heap.
-
-    As :class:`~xray_drake.grasping.planner.GraspPlanner` does.
-    """
-
-    def plan(
-        self,
-        object_name: str,
-        known: Known,
-        *,
-        excluded: Sequence[Grasp] = (),
-    ) -> GraspPlan:
-        """Returns the best grasp found, or why there is none.
-
-        Args:
-            object_name: what the grasp is called to be of.
-            known: of the heap.
-            excluded: grasps not to be returned again.
-        """
-
-
 Poses = Mapping[str, np.ndarray]
 """Object name to its 4×4 X_WO, m."""
-
-PlansOnModels = PlansGrasps[Poses]
-"""Plans from the objects' models, and their names to their 4×4 poses X_WO."""
-
-PlansOnImages = PlansGrasps[SeenObject]
-"""Plans on what is seen; grasps are excluded by their poses in the world,
-whatever object they are called of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +67,7 @@ def _each_once(
 
 
 def planning_on_models(
-    planner: PlansOnModels, poses: Poses, failed: Sequence[FailedGrasp]
+    planner: GraspPlanner[Poses], poses: Poses, failed: Sequence[FailedGrasp]
 ) -> Planning:
     """Returns what plans on models at their poses, each object once.
 
@@ -123,7 +91,7 @@ def planning_on_models(
 
 
 def planning_on_images(
-    planner: PlansOnImages,
+    planner: GraspPlanner[SeenObject],
     instances: InstanceMasks,
     depth: np.ndarray,
     camera: PinholeCamera,

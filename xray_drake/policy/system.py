@@ -12,6 +12,7 @@ from pydrake.systems.framework import Context, EventStatus, InputPort, State
 from pydrake.systems.sensors import ImageDepth32F
 
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import (
     Grasp,
@@ -28,7 +29,6 @@ from xray_drake.occupancy.system import OccupancyModel
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.planning import (
     FailedGrasp,
-    PlansGrasps,
     place_of,
     planning_on_images,
     planning_on_models,
@@ -116,7 +116,7 @@ class SearchPolicy(CollectableLeafSystem):
         self,
         *,
         ranking: Ranking,
-        planner: PlansGrasps[Any],
+        planner: GraspPlanner[Any],
         bodies: Mapping[str, int] | None = None,
         target_first: bool = True,
         min_visible_pixels: int = 50,
@@ -132,9 +132,9 @@ class SearchPolicy(CollectableLeafSystem):
 
         Args:
             ranking: scores the objects; the only thing policies differ in.
-            planner: finds grasps: with ``bodies`` it plans on models
-                (:data:`~xray_drake.policy.planning.PlansOnModels`), else on
-                what is seen (``PlansOnImages``).
+            planner: finds grasps: with ``bodies`` on models at poses, else on
+                what is seen, where it excludes grasps by their poses in the
+                world, whatever object they are called of.
             bodies: object name to its index in ``body_poses``.
             target_first: grasp the target whenever there is a grasp on it.
             min_visible_pixels: objects with fewer are not candidates.
