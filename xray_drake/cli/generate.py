@@ -1,7 +1,7 @@
 """``xray-drake generate``."""
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
@@ -145,17 +145,10 @@ def _generate(
         resume=resume,
         damaged=lambda path, why: typer.echo(f"{why}: it is made again"),
     )
-    settings = {
-        name: manifest.to_dict()[name]
-        for name in ("splits", "targets", "options", "meshes")
-    }
-    record_run(
-        out,
-        Run(
-            "generate", current(), manifest.scenario, [manifest.seed], settings
-        ),
-        resumed=resumed,
-    )
+    plan, seeds = manifest.to_dict(), [manifest.seed]
+    asked = {k: plan[k] for k in ("splits", "targets", "options", "meshes")}
+    run = Run("generate", current(), manifest.scenario, seeds, asked)
+    record_run(out, run, resumed=resumed)
     if scenario.scene.meshes:
         # Decomposed once, by all processes together; workers find the cache.
         imported_objects(scenario, workers=workers)
@@ -188,14 +181,11 @@ def _summarize(
         heaps = sum(report.heaps for report in reports)
         failures = [line for report in reports for line in report.failures]
         cpu = sum(report.cpu for report in reports)
-        stages: dict[str, float] = {}
+        stages: dict[str, float] = defaultdict(float)
         for report in reports:
             for stage, seconds in report.seconds.items():
-                stages[stage] = stages.get(stage, 0.0) + seconds
-        shares = ", ".join(
-            f"{stage} {seconds / samples:.3f}"
-            for stage, seconds in stages.items()
-        )
+                stages[stage] += seconds
+        shares = ", ".join(f"{k} {v / samples:.3f}" for k, v in stages.items())
         typer.echo(
             f"made {samples} from {heaps} heaps in {wall:.0f} s: "
             f"{cpu / samples:.2f} core-seconds an image ({shares})"

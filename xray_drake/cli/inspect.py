@@ -11,7 +11,7 @@ import typer
 
 from xray_drake.cli.errors import errors_as_lines
 from xray_drake.cli.options import one_of, replacing
-from xray_drake.cli.outputs import check_picture
+from xray_drake.cli.outputs import check_outputs, check_picture
 from xray_drake.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -148,21 +148,21 @@ def inspect(
     # Drake takes a second to import, and datasets do without.
     from xray_drake.cli import inspect_search
 
-    page = inspect_search.PageOptions(
-        step=step, opacity=opacity, html=html, live=html is None or meshcat
-    )
+    check_outputs(html)
     if kind == "rollout":
         assert what is not None
-        inspect_search.inspect_rollout(
-            what, page, index=rollout, policy=policy, seed=seed
+        replay = inspect_search.search_again(
+            what, step, index=rollout, policy=policy, seed=seed
         )
-        return
-    if target is not None and len(target) > 1:
-        raise ValueError("a heap has one target: give --target once")
-    asked = {"seed": seed, "policy.name": policy}
-    asked["scene.target"] = target[0] if target else None
-    overrides |= {k: v for k, v in asked.items() if v is not None}
-    inspect_search.inspect_heap(scenario, overrides, page)
+    else:
+        if target is not None and len(target) > 1:
+            raise ValueError("a heap has one target: give --target once")
+        asked = {"seed": seed, "policy.name": policy}
+        asked["scene.target"] = target[0] if target else None
+        overrides |= {k: v for k, v in asked.items() if v is not None}
+        replay = inspect_search.drop(scenario, overrides)
+    live = html is None or meshcat
+    inspect_search.show(replay, step, opacity, html, live)
 
 
 _PAGE = ("opacity", "html")
