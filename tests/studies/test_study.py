@@ -83,7 +83,7 @@ def test_studies_are_listed_and_bad_settings_cost_one_line(
 
 
 def test_items_and_settings() -> None:
-    assert heap_settings(["default", "sleep"], 2).items[:3] == [
+    assert heap_settings("default,sleep", 2).items[:3] == [
         {"setting": "default", "seed": 40_000},
         {"setting": "sleep", "seed": 40_000},
         {"setting": "default", "seed": 40_001},

@@ -234,12 +234,9 @@ def _lost(lost: Lost[Job]) -> Record:
     job = lost.job
     if lost.cause != "died":
         raise lost.error(f"heap of seed {job.seed}")
-    return _failure(
-        parse_scenario(job.scenario, "benchmark"),
-        job.variants[0],
-        lost.reason,
-        seed=job.seed,
-    )
+    scenario = parse_scenario(job.scenario, "benchmark")
+    scenario.seed = job.seed
+    return _failure(scenario, job.variants[0], lost.reason)
 
 
 def _remaining(job: Job, record: Record) -> Job | None:
@@ -247,15 +244,8 @@ def _remaining(job: Job, record: Record) -> Job | None:
     return replace(job, variants=left) if left else None
 
 
-def _failure(
-    scenario: Scenario,
-    variant: Variant,
-    reason: str,
-    *,
-    seed: int | None = None,
-) -> Record:
+def _failure(scenario: Scenario, variant: Variant, reason: str) -> Record:
     run = variant.applied_to(scenario)
-    run = replace(run, seed=scenario.seed if seed is None else seed)
     return {
         "success": False,
         "num_actions": 0,

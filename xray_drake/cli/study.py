@@ -1,6 +1,8 @@
 """``xray-drake study``: the experiments behind the README's tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,7 +28,24 @@ _Out = Annotated[
 _Heaps = Annotated[int, typer.Option(min=1, help="Of each sort.")]
 
 
+def _measures(command: Callable[..., None]) -> Callable[..., None]:
+    """Makes a command run the study that is called like it.
+
+    That is made from its own options.
+    """
+    name = command.__name__
+
+    @wraps(command)
+    @errors_as_lines()
+    def job(*, out: Path, workers: int, mix: bool, **options: Any) -> None:
+        study = getattr(import_module(f"xray_drake.studies.{name}"), name)
+        _run(study(**options), out, workers, mix)
+
+    return job
+
+
 @app.command()
+@_measures
 def heap_settings(
     out: _Out,
     heaps: _Heaps = 24,
@@ -37,15 +56,10 @@ def heap_settings(
     mix: Mix = False,
 ) -> None:
     """Compare physics settings by the speed and the quality of heaps."""
-    with errors_as_lines():
-        from xray_drake.studies.heap_settings import SETTINGS
-        from xray_drake.studies.heap_settings import heap_settings as study
-
-        names = settings.split(",") if settings else list(SETTINGS)
-        _run(study(names, heaps), out, workers, mix)
 
 
 @app.command()
+@_measures
 def label_ceiling(
     dataset: Dataset,
     out: _Out,
@@ -56,19 +70,10 @@ def label_ceiling(
     mix: Mix = False,
 ) -> None:
     """Measure how well labels can be known from the image alone."""
-    with errors_as_lines():
-        from xray_drake.studies.label_ceiling import label_ceiling as study
-
-        chosen = study(
-            dataset,
-            images=images,
-            step=step,
-            weights=weights,
-        )
-        _run(chosen, out, workers, mix)
 
 
 @app.command()
+@_measures
 def tall_targets(
     out: _Out,
     heaps: _Heaps = 15,
@@ -76,13 +81,10 @@ def tall_targets(
     mix: Mix = False,
 ) -> None:
     """Compare inference of tall targets: taken for flat, and resting."""
-    with errors_as_lines():
-        from xray_drake.studies.tall_targets import tall_targets as study
-
-        _run(study(heaps), out, workers, mix)
 
 
 @app.command()
+@_measures
 def contact_grasps(
     out: _Out,
     meshes: Annotated[
@@ -92,25 +94,17 @@ def contact_grasps(
     most: Annotated[
         int | None, typer.Option(min=1, help="Objects and poses.")
     ] = None,
-    load: Annotated[
+    loads: Annotated[
         list[float] | None,
-        typer.Option(help="Weight over what a grasp holds; repeatable."),
+        typer.Option(
+            "--load", help="Weight over what a grasp holds; repeatable."
+        ),
     ] = None,
     carrier: Annotated[str, typer.Option(help="wrist or arm.")] = "wrist",
     workers: Workers = CORES,
     mix: Mix = False,
 ) -> None:
     """Compare the analysis of grasps with their execution by contact."""
-    with errors_as_lines():
-        from xray_drake.studies.contact_grasps import contact_grasps as study
-
-        chosen = study(
-            meshes,
-            most=most,
-            loads=load or (),
-            carrier=carrier,
-        )
-        _run(chosen, out, workers, mix)
 
 
 def _run(study: "Study", out: Path, workers: int, mix: bool) -> None:

@@ -104,7 +104,7 @@ def contact_grasps(
     meshes: Path | None,
     *,
     most: int | None = None,
-    loads: Sequence[float] = (),
+    loads: Sequence[float] | None = None,
     carrier: str = "wrist",
 ) -> Study:
     """Returns the comparison of analysis and contact.
@@ -122,13 +122,15 @@ def contact_grasps(
     ]
     settings = {
         "meshes": str(meshes) if meshes else None,
-        "loads": list(loads),
+        "loads": list(loads or ()),
         "carrier": carrier,
     }
     return Study(
         "contact_grasps",
         items[:most],
-        partial(_measure, meshes=meshes, loads=tuple(loads), carrier=carrier),
+        partial(
+            _measure, meshes=meshes, loads=tuple(loads or ()), carrier=carrier
+        ),
         contact_tables,
         seeds=[SEED],
         settings=settings,

@@ -47,17 +47,18 @@ SETTINGS: dict[str, tuple[HeapConfig, ContactConfig]] = {
 }
 
 
-def heap_settings(settings: Sequence[str], heaps: int) -> Study:
+def heap_settings(settings: str, heaps: int) -> Study:
     """Returns the comparison of physics settings.
 
     Args:
-        settings: names of :data:`SETTINGS`.
+        settings: names of :data:`SETTINGS` with commas between; none for all.
         heaps: of each.
 
     Raises:
         ValueError: there is no such setting.
     """
-    for name in settings:
+    names = settings.split(",") if settings else list(SETTINGS)
+    for name in names:
         if name not in SETTINGS:
             raise ValueError(
                 f"no setting is called {name!r}: there are "
@@ -66,7 +67,7 @@ def heap_settings(settings: Sequence[str], heaps: int) -> Study:
     seeds = range(FIRST_SEED, FIRST_SEED + heaps)
     return Study(
         "heap_settings",
-        [{"setting": n, "seed": seed} for seed in seeds for n in settings],
+        [{"setting": n, "seed": seed} for seed in seeds for n in names],
         measure_heap,
         heap_tables,
         seeds=seeds,
