@@ -146,6 +146,8 @@ def test_who_writes_is_alone_until_he_ends(copy: Path) -> None:
     next(begun)
     with pytest.raises(InUseError):
         run(copy)
+    # To read is no harm.
+    assert len(read_rollouts(copy)) == 5
     begun.close()
     assert run(copy) == []
 

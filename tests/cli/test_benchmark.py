@@ -13,7 +13,6 @@ from xray_drake.benchmark.records import ROLLOUTS, SCENARIO, Collection
 from xray_drake.benchmark.report import success_table
 from xray_drake.benchmark.variants import Variant
 from xray_drake.cli import benchmark as module
-from xray_drake.files import sole_writer
 from xray_drake.provenance import (
     MANIFEST,
     Run,
@@ -218,16 +217,6 @@ def test_mixed_rollouts_are_called_so(
     assert (done / "report.md").read_text().count("**Mixed**") == 7
     (_, run) = read_runs(done)
     assert run["seeds"] == [30, 31, 32]
-
-
-def test_two_benchmarks_do_not_write_to_one_folder(done: Path) -> None:
-    before = (done / ROLLOUTS).read_bytes()
-    with sole_writer(done):
-        line = complaint("benchmark --out", done, ASKED, "--heaps 9")
-        # To read is no harm.
-        assert answer("report", done)[0] == 0
-    assert "is being written by another process" in line
-    assert (done / ROLLOUTS).read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import itertools
 import json
 import re
 import signal
@@ -11,21 +10,6 @@ import pytest
 
 from tests.cli.running import complaint, output
 from tests.disk import full_disk
-
-TOP_KEYS = {
-    *("success", "num_actions", "horizon", "policy", "occupancy", "execution"),
-    *("seed", "target", "objects", "actions", "end", "versions"),
-}
-ACTION_KEYS = {
-    *("step", "object", "is_target", "grasp", "outcome", "lifted", "duration"),
-    *("score", "ranking", "support_before", "support_after", "seconds"),
-    *("support_01_before", "support_01_after"),
-    *("target_visible_fraction", "true_mask_in_support"),
-}
-"""Of the rollout record, and of each of its actions."""
-
-ENDS = {"success", "horizon", "target_lost", "nothing_graspable"}
-OUTCOMES = {"lifted", "failed", "slipped", "no_grasp"}
 
 SMALL = """\
 name: small
@@ -94,25 +78,11 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         f"--film-strip {film_path}",
     )
     record = json.loads(json_path.read_text(encoding="utf-8"))
-    assert set(record) >= TOP_KEYS
-    assert record["end"] in ENDS
-    assert record["success"] == (record["end"] == "success")
     assert record["num_actions"] == len(record["actions"]) <= 2
     assert (record["seed"], record["policy"]) == (5, "largest")
     assert len(record["objects"]) == 3
-    assert set(record["versions"]) >= {"xray_drake", "drake"}
     actions = record["actions"]
     for step, action in enumerate(actions, 1):
-        assert set(action) >= ACTION_KEYS
-        assert action["step"] == step
-        assert action["outcome"] in OUTCOMES
-        assert set(action["grasp"]) >= {"kind", "X_WG", "width", "quality"}
-        assert action["grasp"]["kind"] in ("jaw", "suction", None)
-        assert action["support_after"] >= 0
-        assert action["support_01_before"] <= action["support_before"]
-        assert 0 <= action["target_visible_fraction"] <= 1
-        assert 0 <= action["true_mask_in_support"] <= 1
-        assert all(seconds >= 0 for seconds in action["seconds"].values())
         # One line per action.
         (line,) = re.findall(rf"^ *{step}  .*$", out, re.MULTILINE)
         assert action["outcome"] in line
@@ -129,8 +99,6 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
         for why, (name, *others) in names.items():
             more = f" and {len(others)} more" if others else ""
             assert not why or f"over {name}{more}: {why}" in out
-    for before, after in itertools.pairwise(actions):
-        assert before["support_after"] == after["support_before"]
     assert f"{len(actions)} of 2" in out
     assert record["end"] in out
     assert str(json_path) in out.replace("\n", "")
@@ -138,21 +106,6 @@ def test_a_search_is_told_and_recorded(small: Path, tmp_path: Path) -> None:
     # Frames beside each other, 3 inches each at 80 pixels.
     assert cv2.imread(str(film_path)).shape[1] == 240 * len(actions)
     assert {*tmp_path.iterdir()} == {json_path, html_path, film_path, small}
-
-
-def test_execution_by_contact(small: Path, tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    output(
-        f"search --scenario {small} --execution contact --json {path}",
-        "--num-objects 1 --horizon 1",
-    )
-    record = json.loads(path.read_text(encoding="utf-8"))
-    assert record["execution"] == "contact"
-    (action,) = record["actions"]
-    assert set(action) >= ACTION_KEYS
-    assert action["outcome"] in OUTCOMES
-    assert (action["lifted"] == []) == (action["outcome"] != "lifted")
-    assert 1.0 < action["duration"] < 30.0
 
 
 def test_a_full_disk_is_one_line(small: Path, tmp_path: Path) -> None:
@@ -197,7 +150,4 @@ def test_ctrl_c_leaves_the_record_so_far(small: Path, tmp_path: Path) -> None:
     assert "interrupted" in out
     record = json.loads(path.read_text(encoding="utf-8"))
     assert record["end"] == "interrupted"
-    assert record["success"] is False
-    assert set(record) >= TOP_KEYS
     assert 1 <= record["num_actions"] < 10
-    assert record["actions"][0]["outcome"] in OUTCOMES

@@ -49,12 +49,6 @@ def test_overlay_blends_where_values_are_above_zero_and_nowhere_else(
     assert np.abs(result[~zero] - blend[~zero]).max(initial=0) <= 0.5 + 1e-6
 
 
-def test_the_overlay_is_seen_by_default() -> None:
-    image = np.full((1, 2, 3), 128, np.uint8)
-    result = overlay(image, np.array([[0.0, 1.0]])).astype(int)
-    assert np.abs(result[0, 1] - 128).max() > 50
-
-
 def test_near_is_bright_and_nothing_is_pink() -> None:
     picture = depth_picture(np.array([[0.7, 0.8, 0.0]]))
     assert picture.dtype == np.uint8
