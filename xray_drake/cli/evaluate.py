@@ -38,12 +38,7 @@ app = typer.Typer(
 _Weights = Annotated[
     list[Path] | None, typer.Option(help="Of a network; repeatable.")
 ]
-_Geometric = Annotated[
-    bool,
-    typer.Option(
-        "--geometric/--no-geometric", help="Geometric inference, too."
-    ),
-]
+_Geometric = Annotated[bool, typer.Option(help="Geometric inference, too.")]
 _GeometricLabel = Annotated[
     bool,
     typer.Option(

@@ -22,6 +22,20 @@ class _Rate(ProgressColumn):
         return Text(f"{task.speed:.2f}/s" if task.speed else "")
 
 
+def _bars(
+    console: Console, *columns: ProgressColumn, transient: bool = True
+) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        *columns,
+        console=console,
+        transient=transient,
+        disable=not console.is_terminal,
+        speed_estimate_period=300,
+    )
+
+
 @contextmanager
 def progress_bar(
     console: Console, job: str
@@ -35,15 +49,8 @@ def progress_bar(
     Yields:
         A function to be called with the share done, in [0, 1].
     """
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bars:
+    left = TimeElapsedColumn(), TimeRemainingColumn()
+    with _bars(console, *left) as bars:
         task = bars.add_task(job, total=1.0)
         yield lambda share: bars.update(task, completed=share)
 
@@ -63,17 +70,13 @@ def counting_bar(
         A function to be called with how many are done, and of how many. The
         bar is there from its first call on, and stays up to its last item.
     """
-    bars = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
+    bars = _bars(
+        console,
         MofNCompleteColumn(),
         _Rate(),
         TimeElapsedColumn(),
         TimeRemainingColumn(elapsed_when_finished=True),
-        console=console,
         transient=transient,
-        disable=not console.is_terminal,
-        speed_estimate_period=300,
     )
     task = bars.add_task(job, total=None)
 
