@@ -61,7 +61,11 @@ def without_scores(record: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture
 def quick(tiny_scenario: Scenario) -> Scenario:
-    """For what does not depend on how good a grasp is."""
+    """For what does not depend on how good a grasp or an image is."""
+    camera = tiny_scenario.camera
+    camera.width, camera.height = 128, 96
+    camera.center_x, camera.center_y, camera.focal.x = 63.5, 47.5, 138.0
+    tiny_scenario.policy.min_visible_pixels = 5
     tiny_scenario.scene.num_objects = 2
     tiny_scenario.gripper.planner = ModelPlannerConfig(
         jaw_samples=100,
