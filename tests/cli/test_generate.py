@@ -148,14 +148,3 @@ def test_other_versions_go_on_with_the_dataset_that_was_begun(
     assert read_manifest(folder) == begun
     with ShardReader(folder / "train-00001.h5") as shard:
         assert shard.attributes.dataset == begun.fingerprint()
-
-
-@pytest.mark.parametrize(
-    ("options", "named"), [("--seed 3", "seed 0"), ("--images 3", "splits")]
-)
-def test_other_options_are_another_dataset(
-    options: str, named: str, folder: Path, made: list[str]
-) -> None:
-    line = line_of(folder, "--resume", options)
-    assert f"begun with {named}" in line
-    assert made == []

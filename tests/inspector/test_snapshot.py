@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xray_drake.inspector.replay import Replay
-from xray_drake.inspector.snapshot import Snapshot, ranking_lines
+from xray_drake.inspector.snapshot import ranking_lines
 from xray_drake.messages import Outcome, RankedCandidate, SearchAction
 from xray_drake.scene.heap import Heap
 from xray_drake.testing.tiny import Observation
@@ -83,15 +83,6 @@ def test_a_ranking_in_words(replay: Replay) -> None:
     assert ranking_lines(SearchAction(1)) == ()
 
 
-def with_scores(shot: Snapshot, scores: tuple[float, ...]) -> Snapshot:
-    ranking = tuple(
-        RankedCandidate(f"object_{k}", score, hides=True)
-        for k, score in enumerate(scores)
-    )
-    action = replace(shot.action, ranking=ranking)
-    return replace(shot, action=action)
-
-
 @pytest.mark.parametrize(
     ("scores", "shares"),
     [
@@ -104,5 +95,10 @@ def with_scores(shot: Snapshot, scores: tuple[float, ...]) -> Snapshot:
 def test_relative_scores(
     replay: Replay, scores: tuple[float, ...], shares: list[float]
 ) -> None:
-    shot = with_scores(replay.snapshots[0], scores)
+    ranking = tuple(
+        RankedCandidate(f"object_{k}", score, hides=True)
+        for k, score in enumerate(scores)
+    )
+    shot = replay.snapshots[0]
+    shot = replace(shot, action=replace(shot.action, ranking=ranking))
     assert list(shot.relative_scores().values()) == shares
