@@ -232,6 +232,8 @@ def test_the_first_with_a_good_grasp_else_with_any_and_why_not_the_others(
             "book",
             "book cup",
         ),
+        # Where a weak grasp is on what hides nothing either, it is.
+        ("book", {"cup": 0.2, "box": 0.9}, "box", "book cup box"),
         # What hides nothing is planned on where nothing else can be grasped.
         ("book cup", {"box": 0.3}, "box", "book cup box"),
         # Wherever it stands in the order.

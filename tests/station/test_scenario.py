@@ -261,20 +261,6 @@ def test_a_dump_holds_what_differs() -> None:
         assert usual not in text
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (
-            "camera: {X_PB: {rotation: !Rpy {deg: [175, 5, 20]}}}",
-            "[175.0, 5.0, 20.0]",
-        ),
-        ("camera: {focal: !FovDegrees {x: 50}}", "!FovDegrees"),
-    ],
-)
-def test_tags_of_drakes_schema(text: str, said: str) -> None:
-    assert said in whole(parse_scenario(text, SOURCE))
-
-
 def test_a_scenario_made_in_python_is_checked_too() -> None:
     with pytest.raises(ScenarioError, match="scenario: horizon is 0"):
         check_scenario(replace(Scenario(), horizon=0))
