@@ -1,15 +1,13 @@
 import subprocess
 import sys
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from pydrake.common.schema import Rotation
-from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 
-from xray_drake.geometry.camera import PinholeCamera
+from tests.scene.placed import Placed
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.scene.cameras import (
     CameraSampling,
@@ -20,7 +18,6 @@ from xray_drake.scene.cameras import (
     sample_camera,
 )
 from xray_drake.scene.plant import (
-    add_bin,
     add_object,
     add_plant,
     default_plant_config,
@@ -41,37 +38,11 @@ def tilted_camera() -> CameraConfig:
     return config
 
 
-class Scene:
+class Scene(Placed):
     """A bin with a lid in it, and a camera."""
 
-    def __init__(self, config: CameraConfig, p_WL: Sequence[float]) -> None:
-        builder = DiagramBuilder()
-        plant, scene_graph = add_plant(builder, default_plant_config())
-        add_bin(plant)
-        self.X_WL = RigidTransform(list(p_WL))
-        lid = add_object(plant, LID)
-        lid.joint.SetDefaultPose(self.X_WL)
-        self.label = int(lid.body.index())
-        plant.Finalize()
-        sensor, camera = add_camera(builder, scene_graph, config)
-        assert sensor.get_name() == config.name
-        builder.ExportOutput(sensor.depth_image_32F_output_port(), "depth")
-        builder.ExportOutput(sensor.label_image_output_port(), "label")
-        builder.ExportOutput(sensor.color_image_output_port(), "color")
-        builder.ExportOutput(camera.get_output_port(), "camera")
-        self.diagram: Diagram = builder.Build()
-        self.context: Context = self.diagram.CreateDefaultContext()
-
-    def image(self, name: str) -> np.ndarray:
-        data = self.diagram.GetOutputPort(name).Eval(self.context).data
-        return np.array(data[:, :, 0] if data.shape[2] == 1 else data)
-
-    @property
-    def camera(self) -> PinholeCamera:
-        return self.diagram.GetOutputPort("camera").Eval(self.context)
-
-    def mask(self) -> np.ndarray:
-        return self.image("label") == self.label
+    def __init__(self, config: CameraConfig, *p_WL: float) -> None:
+        super().__init__([LID], {"lid": p_WL}, camera=config)
 
 
 def centroid(mask: np.ndarray) -> np.ndarray:
@@ -81,12 +52,12 @@ def centroid(mask: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def nominal() -> Scene:
-    return Scene(nominal_camera(), [0.0805, 0.0505, 0.005])
+    return Scene(nominal_camera(), 0.0805, 0.0505, 0.005)
 
 
 @pytest.fixture(scope="module")
 def tilted() -> Scene:
-    return Scene(tilted_camera(), [0.03, 0.02, 0.02])
+    return Scene(tilted_camera(), 0.03, 0.02, 0.02)
 
 
 def test_the_nominal_camera_is_the_protocols() -> None:
@@ -121,10 +92,10 @@ def test_the_model_of_the_camera_fits_its_images(
     expected = project_mesh_mask(
         LID.visual.vertices,
         LID.visual.faces,
-        scene.X_WL.GetAsMatrix4(),
+        scene.pose("lid"),
         scene.camera,
     )
-    mask = scene.mask()
+    mask = scene.mask("lid")
     assert mask.sum() > 300
     assert np.count_nonzero(mask != expected) < 0.015 * mask.sum()
     np.testing.assert_allclose(centroid(mask), centroid(expected), atol=0.1)
@@ -142,7 +113,7 @@ def test_depth_lies_on_the_floor_in_every_pixel(
         & (np.abs(p_W[..., 0]) < 0.24)
         & (np.abs(p_W[..., 1]) < 0.19)
     )
-    floor = inside & ~scene.mask()
+    floor = inside & ~scene.mask("lid")
     # Shadows of walls have no floor; they are few.
     on_floor = np.abs(p_W[..., 2]) < 1e-5
     assert on_floor[floor].mean() > 0.99
@@ -154,15 +125,17 @@ def test_depth_lies_on_the_floor_in_every_pixel(
 
 
 def test_colours_are_the_models(nominal: Scene) -> None:
-    red, green, blue, _ = nominal.image("color")[nominal.mask()].mean(axis=0)
+    red, green, blue, _ = nominal.image("color")[nominal.mask("lid")].mean(
+        axis=0
+    )
     assert red > 2 * max(green, blue)
 
 
 def test_the_background_is_far_and_has_the_colour_asked_for() -> None:
     config = nominal_camera()
-    config.X_PB.translation = [0.45, 0.0, 0.8]  # beyond the bin
-    scene = Scene(config, [0.1, 0.0, 0.005])
-    beyond = np.s_[:, 300:]
+    config.X_PB.translation = [-0.45, 0.0, 0.8]  # beyond the bin
+    scene = Scene(config, 0.1, 0.0, 0.005)
+    beyond = np.s_[:, :212]
     assert np.isinf(scene.image("depth")[beyond]).all()
     background = scene.image("color")[beyond][..., :3].reshape(-1, 3)
     expected = np.broadcast_to([63.75, 68.85, 76.5], background.shape)

@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.scene.placed import Placed
 from xray_drake.geometry.resting import resting_poses
 from xray_drake.scene import heap as module
 from xray_drake.scene.contact import ContactConfig
@@ -19,10 +17,6 @@ from xray_drake.scene.library import make_object
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.plant import (
     PlantObject,
-    add_bin,
-    add_objects,
-    add_plant,
-    default_plant_config,
     inside_bin,
 )
 from xray_drake.scene.rest import box_corners
@@ -54,23 +48,13 @@ def heap() -> Heap:
 
 def motion(heap: Heap, duration: float) -> dict[str, float]:
     """Returns how far each object moves from its pose in the heap, m."""
-    builder = DiagramBuilder()
-    plant, _ = add_plant(builder, default_plant_config())
-    add_bin(plant)
-    items = add_objects(plant, heap.models)
-    for item in items:
-        item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))
-    plant.Finalize()
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(duration)
-    context = plant.GetMyContextFromRoot(simulator.get_context())
+    placed = Placed(heap.models, heap.poses)
+    placed.advance(duration)
     moved = {}
-    for item in items:
-        now = item.body.EvalPoseInWorld(context).GetAsMatrix4()
-        step = box_corners(item.model, now) - box_corners(
-            item.model, heap.poses[item.name]
-        )
-        moved[item.name] = float(np.linalg.norm(step, axis=1).max())
+    for model in heap.models:
+        corners = box_corners(model, placed.pose(model.name))
+        step = corners - box_corners(model, heap.poses[model.name])
+        moved[model.name] = float(np.linalg.norm(step, axis=1).max())
     return moved
 
 

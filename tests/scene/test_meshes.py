@@ -25,12 +25,6 @@ from xray_drake.scene.meshes.prepare import prepare_cached
 from xray_drake.scene.shapes import cup
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XRAY_DRAKE_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "meshes"
-
-
 def write(path, mesh):
     path.parent.mkdir(parents=True, exist_ok=True)
     mesh.export(path)
@@ -308,15 +302,15 @@ def test_native_code_costs_one_file(
 
 
 def test_what_took_too_long_has_another_chance_with_more_time(
-    boxes, monkeypatch
+    boxes, cache, monkeypatch
 ):
     monkeypatch.setattr(importer, "_prepare", trouble)
     write(boxes / "slow.stl", box(0.03, 0.04, 0.06))
     assert len(import_meshes(boxes, time_limit=0.5).models) == 1
     monkeypatch.undo()
-    cache = {"cache_dir": boxes.parent / "cache" / "meshes"}
-    assert import_meshes(boxes, time_limit=0.4, **cache).from_cache == 2
-    assert len(import_meshes(boxes, time_limit=100, **cache).models) == 2
+    monkeypatch.setenv("XRAY_DRAKE_CACHE", str(cache.parent))
+    assert import_meshes(boxes, time_limit=0.4).from_cache == 2
+    assert len(import_meshes(boxes, time_limit=100).models) == 2
 
 
 def test_what_is_not_used_is_named(folder, caplog):

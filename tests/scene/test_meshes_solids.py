@@ -276,12 +276,12 @@ def test_what_is_mostly_hole_or_a_sheet_is_refused(mesh, reason):
 def test_repairs_reach_the_log_and_the_summary(tmp_path, caplog):
     lidless(0.04, 0.04, 0.12).export(tmp_path / "tall.stl")
     box(0.04, 0.04, 0.04).export(tmp_path / "whole.stl")
-    made = import_meshes(tmp_path, cache_dir=tmp_path / "cache")
+    made = import_meshes(tmp_path)
     (record,) = caplog.records
     assert "tall.stl: a hole filled (7%" in record.getMessage()
     assert list(made.notes) == [f"{tmp_path.name}/tall"]
     assert "1 of them with a remark" in made.summary()
-    again = import_meshes(tmp_path, cache_dir=tmp_path / "cache")
+    again = import_meshes(tmp_path)
     assert again.from_cache == 2
     assert again.notes == made.notes
 
@@ -289,5 +289,5 @@ def test_repairs_reach_the_log_and_the_summary(tmp_path, caplog):
 def test_what_is_as_long_as_the_floor_is_welcome(tmp_path):
     assert max(np.ptp(BIN_FLOOR_X), np.ptp(BIN_FLOOR_Y)) == LARGEST
     box(0.03, 0.02, LARGEST).export(tmp_path / "rod.stl")
-    (model,) = load_meshes(tmp_path, cache_dir=tmp_path / "cache")
+    (model,) = load_meshes(tmp_path)
     assert model.extents.max() == pytest.approx(LARGEST)

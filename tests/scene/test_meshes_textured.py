@@ -2,24 +2,16 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from pydrake.math import RigidTransform
-from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.scene.cameras import add_camera, nominal_camera
+from tests.scene.placed import Placed
+from xray_drake.scene.cameras import nominal_camera
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.meshes.textures import (
-    hue_shifted,
     is_red,
     mean_color,
 )
-from xray_drake.scene.plant import add_object, add_plant, default_plant_config
 
 GREEN, BLUE = (30, 180, 40), (30, 40, 200)
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XRAY_DRAKE_CACHE", str(tmp_path / "cache"))
 
 
 def checkered(left, right, size=64):
@@ -100,23 +92,12 @@ def test_red_becomes_another_colour_and_others_stay(tmp_path, color, of):
     assert same == (color not in REDS)
 
 
-def test_hue_shifts_turn_the_circle():
-    image = np.array([[[200, 20, 20]]], np.uint8)
-    np.testing.assert_array_equal(hue_shifted(image, 120), [[[20, 200, 20]]])
-    np.testing.assert_array_equal(hue_shifted(image, 360), image)
-
-
 def test_drake_renders_the_texture(tmp_path):
     model = import_box(tmp_path / "in", checkered(GREEN, BLUE))
-    builder = DiagramBuilder()
-    plant, scene_graph = add_plant(builder, default_plant_config())
-    item = add_object(plant, model, textured=True)
-    item.joint.SetDefaultPose(RigidTransform([0, 0, 0.5]))
-    plant.Finalize()
-    camera, _ = add_camera(builder, scene_graph, nominal_camera())
-    context = builder.Build().CreateDefaultContext()
-    port = camera.color_image_output_port()
-    image = port.Eval(camera.GetMyContextFromRoot(context)).data.astype(int)
+    poses = {model.name: (0, 0, 0.5)}
+    camera = nominal_camera()
+    placed = Placed([model], poses, camera=camera, textured=True)
+    image = placed.image("color").astype(int)
     green = image[..., 1] > image[..., 2] + 40
     blue = image[..., 2] > image[..., 1] + 40
     assert green.sum() > 200

@@ -6,16 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.geometry import RenderLabel, Role
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.scene.placed import Placed
 from xray_drake.scene.contact import ContactConfig, hydroelastic_modulus
 from xray_drake.scene.library import make_object
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
-    PlantObject,
     add_bin,
-    add_objects,
     add_plant,
     default_plant_config,
     in_memory_mesh,
@@ -43,21 +42,6 @@ def hammer() -> ObjectModel:
     )
 
 
-class Station:
-    """A finalized plant of objects."""
-
-    def __init__(self, *models: ObjectModel) -> None:
-        builder = DiagramBuilder()
-        self.plant, self.scene_graph = add_plant(
-            builder, default_plant_config()
-        )
-        self.items: list[PlantObject] = add_objects(self.plant, models)
-        self.plant.Finalize()
-        self.diagram = builder.Build()
-        self.root = self.diagram.CreateDefaultContext()
-        self.context: Context = self.plant.GetMyContextFromRoot(self.root)
-
-
 @pytest.mark.parametrize(
     "model",
     [hammer(), target_model("lid"), make_object("brick_003")],
@@ -68,7 +52,7 @@ def test_mass_and_inertia_are_the_models(model: ObjectModel) -> None:
         assert np.linalg.norm(model.p_OCom) > 0.03
         products = model.inertia - np.diag(np.diag(model.inertia))
         assert np.abs(products).max() > 0.05 * np.trace(model.inertia)
-    body = Station(model).items[0].body
+    body = Placed([model]).items[model.name].body
     inertia = body.default_spatial_inertia()
     assert inertia.get_mass() == pytest.approx(model.mass, rel=1e-12)
     np.testing.assert_allclose(inertia.get_com(), model.p_OCom, atol=1e-12)
@@ -82,10 +66,10 @@ def test_mass_and_inertia_are_the_models(model: ObjectModel) -> None:
 
 def test_pieces_become_compliant_convex_geometries() -> None:
     model = hammer()
-    station = Station(model)
+    station = Placed([model])
     inspector = station.scene_graph.model_inspector()
     geometries = station.plant.GetCollisionGeometriesForBody(
-        station.items[0].body
+        station.items["hammer"].body
     )
     assert len(geometries) == len(model.pieces) == 2
     for geometry, vertices in zip(geometries, model.pieces, strict=True):
@@ -117,10 +101,9 @@ def test_pressure_rises_with_depth_at_one_rate_in_all(
 
 
 def test_labels_are_body_indices_and_colours_the_models() -> None:
-    models = [hammer(), target_model("domino")]
-    station = Station(*models)
+    station = Placed([hammer(), target_model("domino")])
     inspector = station.scene_graph.model_inspector()
-    for model, item in zip(models, station.items, strict=True):
+    for item in station.items.values():
         frame = station.plant.GetBodyFrameIdOrThrow(item.body.index())
         (seen,) = inspector.GetGeometries(frame, Role.kPerception)
         properties = inspector.GetPerceptionProperties(seen)
@@ -128,13 +111,13 @@ def test_labels_are_body_indices_and_colours_the_models() -> None:
             int(item.body.index())
         )
         rgba = properties.GetProperty("phong", "diffuse")
-        assert (rgba.r(), rgba.g(), rgba.b(), rgba.a()) == model.color
-    assert station.items[0].body.index() != station.items[1].body.index()
+        assert (rgba.r(), rgba.g(), rgba.b(), rgba.a()) == item.model.color
+    assert len({item.body_index for item in station.items.values()}) == 2
 
 
 def test_free_rotation_decays_and_free_fall_does_not() -> None:
     model = hammer()
-    joint = Station(model).items[0].joint
+    joint = Placed([model]).items[model.name].joint
     mean_inertia = np.linalg.eigvalsh(model.inertia).mean()
     assert joint.default_angular_damping() == pytest.approx(
         mean_inertia / ContactConfig().tumble_time
@@ -161,12 +144,12 @@ def test_bin_and_tote_stand_still_and_are_not_the_world(
 
 
 def test_body_and_joint_of_an_object_belong_together() -> None:
-    station = Station(hammer(), target_model("domino"))
+    station = Placed([hammer(), target_model("domino")])
     X = RigidTransform([0.1, 0.05, 0.2])
-    station.items[1].joint.SetPose(station.context, X)
-    moved = station.items[1].body.EvalPoseInWorld(station.context)
-    np.testing.assert_array_equal(moved.GetAsMatrix4(), X.GetAsMatrix4())
-    assert [item.name for item in station.items] == ["hammer", "domino"]
+    station.items["domino"].joint.SetPose(station.context, X)
+    moved = station.pose("domino")
+    np.testing.assert_array_equal(moved, X.GetAsMatrix4())
+    assert [i.name for i in station.items.values()] == ["hammer", "domino"]
 
 
 @pytest.mark.parametrize(

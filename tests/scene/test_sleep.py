@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from tests.scene.cubes import HALF, Cubes, cube
+from tests.scene.placed import HALF, Cubes, cube
 from xray_drake.scene.plant import add_object, add_plant, default_plant_config
 from xray_drake.scene.sleep import Sleeper
 

@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from tests.scene.cubes import HALF, Cubes
+from tests.scene.placed import HALF, Cubes
 from xray_drake.scene.sleep_monitor import (
     SleepConfig,
     SleepMonitor,
