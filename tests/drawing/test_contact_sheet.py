@@ -29,12 +29,12 @@ def test_an_object_fills_its_tile_in_its_colour() -> None:
 def test_a_sheet_has_a_tile_for_each() -> None:
     cup, gear = make_object("cup_000"), make_object("gear_000")
     models = [cup, None, gear]
-    told = []
+    told: list[tuple[int, int]] = []
     sheet = contact_sheet(
-        models, columns=2, size=48, progress=lambda: told.append(1)
+        models, columns=2, size=48, progress=lambda *n: told.append(n)
     )
     assert sheet.shape == (2 * (48 + CAPTION_HEIGHT), 96, 3)
-    assert len(told) == 3
+    assert told == [(1, 3), (2, 3), (3, 3)]
     first = sheet[:48, :48]
     np.testing.assert_array_equal(first, object_picture(cup, 48))
     caption = sheet[48 : 48 + CAPTION_HEIGHT, :48]

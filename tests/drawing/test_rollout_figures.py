@@ -1,11 +1,8 @@
-import io
-
 import matplotlib as mpl
 import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from xray_drake.drawing.rollout_figures import actions_figure, success_figure
 
@@ -19,13 +16,6 @@ ROLLOUTS = {"random": 9, "xray_$a$ (exact)": 8, "largest": 5}
 
 def heights(panel: Axes) -> list[float]:
     return [patch.get_height() for patch in panel.patches]
-
-
-def image(figure: Figure) -> np.ndarray:
-    data = io.BytesIO()
-    figure.savefig(data, format="png")
-    data.seek(0)
-    return matplotlib.image.imread(data)
 
 
 def test_a_histogram_for_each_policy() -> None:
@@ -43,7 +33,6 @@ def test_a_histogram_for_each_policy() -> None:
     assert sum(heights(largest)) == 0
     assert [line.get_xdata()[0] for line in xray.lines] == [3]
     assert not largest.lines
-    assert image(figure)[..., :3].std() > 0.05
 
 
 def test_many_policies_take_several_rows() -> None:
@@ -69,7 +58,6 @@ def test_success_against_actions() -> None:
     assert texts == ["xray", "random"]
     first, _ = legend.get_lines()
     assert (first.get_color() == lines["xray"].get_color()).all()
-    assert image(figure)[..., :3].std() > 0.05
 
 
 def test_nothing_to_draw() -> None:

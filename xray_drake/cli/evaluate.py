@@ -300,16 +300,17 @@ def _predictors(
         path.stem if stems.count(path.stem) == 1 else str(path): path
         for path in weights
     }
-    kinds: list[tuple[str, str, bool]] = [("", "learned", True)]
-    if unscaled:
-        kinds.append((", unscaled", "learned", False))
-    if posterior:
-        kinds.append((", posterior", "posterior", True))
+    kinds = (
+        ("", "learned", True, True),
+        (", unscaled", "learned", False, unscaled),
+        (", posterior", "posterior", True, posterior),
+    )
     found = {
         f"{name}{suffix}": predictor(
             kind, weights=path, dtype=dtype, scaling=scaling
         )
-        for suffix, kind, scaling in kinds
+        for suffix, kind, scaling, asked in kinds
+        if asked
         for name, path in named.items()
     }
     return found | {name: predictor(name) for name in without_network}

@@ -3,7 +3,6 @@
 import json as json_format
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -125,11 +124,9 @@ def show(
         # Sorted: a packaged variant comes next to its object.
         rows = [sorted(group)[:per_family] for group in grouped.values()]
         columns = max(map(len, rows))
-        shown = [
-            row[i] if i < len(row) else None
-            for row in rows
-            for i in range(columns)
-        ]
+        shown = []
+        for row in rows:
+            shown += [*row, *[None] * (columns - len(row))]
     from xray_drake.scene.library import make_object
 
     models = [None if name is None else make_object(name) for name in shown]
@@ -257,13 +254,9 @@ def _write_sheet(
 
     if path.suffix.lower() != ".png":
         raise ValueError(f"{path}: a contact sheet is a PNG file")
-    drawn = count(1)
     with counting_bar(Console(stderr=True), "drawing") as progress:
         sheet = contact_sheet(
-            models,
-            columns=columns,
-            size=size,
-            progress=lambda: progress(next(drawn), len(models)),
+            models, columns=columns, size=size, progress=progress
         )
     _, data = cv2.imencode(".png", sheet[..., ::-1])
     path.write_bytes(data.tobytes())

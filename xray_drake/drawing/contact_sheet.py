@@ -5,9 +5,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 from pydrake.common.schema import Transform
-from pydrake.geometry import (
-    LightParameter,
-)
+from pydrake.geometry import LightParameter
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
@@ -70,10 +68,8 @@ def object_picture(model: ObjectModel, size: int) -> np.ndarray:
     plant, scene_graph = add_plant(builder, default_plant_config())
     add_object(plant, model, collides=False)
     plant.Finalize()
-    scene_graph.AddRenderer(
-        camera.renderer_name,
-        make_renderer(BACKGROUND, _LIGHTS),
-    )
+    renderer = make_renderer(BACKGROUND, _LIGHTS)
+    scene_graph.AddRenderer(camera.renderer_name, renderer)
     sensor, _ = add_camera(builder, scene_graph, camera)
     context = builder.Build().CreateDefaultContext()
     image = sensor.color_image_output_port().Eval(
@@ -89,7 +85,7 @@ def contact_sheet(
     *,
     columns: int = 8,
     size: int = 160,
-    progress: Callable[[], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> np.ndarray:
     """Draws objects row by row, with their names and longest sides.
 
@@ -97,7 +93,7 @@ def contact_sheet(
         models: at least one; ``None`` leaves a place empty.
         columns: tiles in a row.
         size: width and height of a tile, pixels.
-        progress: called before each tile.
+        progress: told how many tiles are done, of how many.
 
     Returns:
         (height, width, 3) uint8 RGB.
@@ -113,15 +109,14 @@ def contact_sheet(
     sheet = np.full((rows * pitch, columns * size, 3), 255 * BACKGROUND)
     sheet = np.rint(sheet).astype(np.uint8)
     for i, model in enumerate(models):
-        if progress is not None:
-            progress()
-        if model is None:
-            continue
         y, x = i // columns * pitch, i % columns * size
-        sheet[y : y + size, x : x + size] = object_picture(model, size)
-        longest = f"{1000 * float(model.extents.max()):.0f} mm"
-        _write(sheet, model.name, x, y + size + 10, size)
-        _write(sheet, longest, x, y + size + 23, size)
+        if model is not None:
+            sheet[y : y + size, x : x + size] = object_picture(model, size)
+            longest = f"{1000 * float(model.extents.max()):.0f} mm"
+            _write(sheet, model.name, x, y + size + 10, size)
+            _write(sheet, longest, x, y + size + 23, size)
+        if progress is not None:
+            progress(i + 1, len(models))
     return sheet
 
 
