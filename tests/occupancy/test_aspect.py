@@ -1,5 +1,3 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import trimesh
@@ -17,7 +15,6 @@ from xray_drake.occupancy.learned.single_box import (
 )
 
 _SHAPES = st.sampled_from([(24, 32), (23, 31), (24, 31)])
-NO_SCALES = (0, -1, np.nan, np.inf)
 
 
 @pytest.mark.parametrize("ratio", [1, 2, 5, 10])
@@ -67,33 +64,6 @@ def test_the_nearest_ratio_is_nearest_in_logarithm(
     ratio: float, available: list[float], nearest: float
 ) -> None:
     assert nearest_ratio(ratio, available) == nearest
-
-
-IMAGE = np.zeros((24, 32), np.float32)
-
-
-@pytest.mark.parametrize(
-    ("function", "arguments", "words"),
-    [
-        (nearest_ratio, (2, []), "no aspect ratio is available"),
-        (nearest_ratio, (0, [1]), "0 is no aspect ratio"),
-        (nearest_ratio, (np.nan, [1]), "nan is no aspect ratio"),
-        (nearest_ratio, (2, [1, -1]), "-1 is no aspect ratio"),
-        *(
-            (rescale_input, (IMAGE, IMAGE > 0, s), "no scale")
-            for s in NO_SCALES
-        ),
-        *((rescale_output, (IMAGE, s), "no scale") for s in NO_SCALES),
-        (rescale_input, (IMAGE, np.zeros((5, 5)), 2), r"both must be \(H, W\)"),
-        (rescale_input, (IMAGE[0], IMAGE[0], 2), r"both must be \(H, W\)"),
-        (rescale_output, (IMAGE[0], 2), r"is \(H, W\), not"),
-    ],
-)
-def test_wrong_ratios_scales_and_images(
-    function: Callable[..., object], arguments: tuple, words: str
-) -> None:
-    with pytest.raises(ValueError, match=words):
-        function(*arguments)
 
 
 def test_a_target_of_the_right_size_changes_nothing() -> None:

@@ -330,9 +330,9 @@ def test_wrong_input_is_named(
 @pytest.mark.parametrize(
     ("infer", "config", "said"),
     [
-        (GeometricInference, {"rotations": 0}, "at least one rotation"),
-        (GeometricInference, {"cell": 0}, "a positive cell"),
-        (resting_inference, {"rotations": 0}, "at least one rotation"),
+        (GeometricInference, {"rotations": 0}, "rotations is 0: it must"),
+        (GeometricInference, {"cell": 0}, "cell is 0: it must"),
+        (resting_inference, {"rotations": 0}, "rotations is 0: it must"),
         (GeometricInference, {"poses": "up"}, "'up': .* of flat, resting"),
         (label_inference, {"poses": "resting"}, "'resting': .* one of flat$"),
     ],

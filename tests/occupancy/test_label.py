@@ -92,8 +92,8 @@ def with_pixel(image: np.ndarray, value: float) -> np.ndarray:
         ({"p_WT": [np.nan, 0, 0]}, "three finite numbers"),
         ({"p_WT": [0.0, 0]}, "three finite numbers"),
         ({"camera": BELOW}, "above the floor"),
-        ({"config": LabelConfig(step=0)}, "at least one"),
-        ({"config": LabelConfig(rotations=0)}, "at least one"),
+        ({"config": LabelConfig(step=0)}, "label: step is 0: it must be"),
+        ({"config": LabelConfig(rotations=0)}, "label: rotations is 0: it"),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)),
 )

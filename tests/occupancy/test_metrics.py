@@ -147,19 +147,6 @@ def test_calibration_counts_add_up(
     assert total.brier_score == pytest.approx(both.brier_score)
 
 
-def test_a_target_drawn_from_the_prediction_is_calibrated() -> None:
-    rng = np.random.default_rng(0)
-    prediction = rng.random((300, 300))
-    drawn = rng.random(prediction.shape) < prediction
-    counts = calibration_counts(prediction, drawn)
-    # E|frequency − probability| of a bin of 9,000 pixels is 0.004.
-    assert counts.expected_calibration_error < 0.015
-    # E(p − y)² = E p(1 − p) = 1/6.
-    assert counts.brier_score == pytest.approx(1 / 6, abs=0.01)
-    opposite = calibration_counts(1 - prediction, drawn)
-    assert opposite.expected_calibration_error > 0.4
-
-
 def test_images_that_do_not_fit_are_an_error() -> None:
     image, mask = np.zeros((3, 4)), np.zeros((4, 3), bool)
     for measure in (
@@ -172,5 +159,3 @@ def test_images_that_do_not_fit_are_an_error() -> None:
             measure(image, mask)  # type: ignore[operator]
     with pytest.raises(ValueError, match="at least one bin"):
         calibration_counts(image, image > 0, bins=0)
-    with pytest.raises(ValueError, match="do not add up"):
-        CalibrationCounts() + calibration_counts(image, image > 0, bins=3)

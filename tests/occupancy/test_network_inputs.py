@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import observed_heights
 from xray_drake.occupancy.learned.inputs import (
     COARSE,
     FINE,
     geometry_input,
-    heights_above_floor,
     size_features,
 )
 
@@ -66,14 +66,14 @@ def _blank(camera: PinholeCamera) -> np.ndarray:
 def test_heights_are_z_of_the_points_seen(camera: PinholeCamera) -> None:
     depth = _noise(camera)
     depth[::7] = camera.plane_depth(0.05)[::7]
-    heights = heights_above_floor(depth, camera)
+    heights = observed_heights(depth, camera, 0.0)
     assert heights.dtype == np.float32
     seen = np.isfinite(depth)
     expected = camera.unproject(np.where(seen, depth, 0).astype(float))[..., 2]
     # Depths of many metres, near the horizon, have float32's precision.
     error = np.abs(heights - expected)[seen]
     assert (error < 1e-6 * np.maximum(1, depth[seen])).all()
-    assert np.isnan(heights[~seen]).all()
+    assert np.isneginf(heights[~seen]).all()
 
 
 @pytest.mark.parametrize("camera", _CAMERAS.values(), ids=_CAMERAS)

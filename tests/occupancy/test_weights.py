@@ -224,25 +224,19 @@ def test_cards_hold_what_json_holds() -> None:
 
 
 def test_a_person_can_read_the_card() -> None:
-    page = dataclasses.replace(
-        _CARD, box_size=(0.03, 0.03, 0.005), notes="", data={"of": "a|b\nc"}
-    ).to_markdown()
-    assert page.startswith("# CompactNet\n\n| | |\n|---|---|\n")
+    page = _CARD.to_markdown()
+    assert page.startswith("# CompactNet\n\nA first | try.\n\n```yaml\n")
     for line in (
-        "| targets | box_1to1, box_2to1 |",
-        "| target size | 30 × 30 × 5 mm |",
-        "## Options",
-        "| widths | 24, 48 |",
-        "| of | a\\|b c |",
-        "| learning rate | 1e-05 |",
-        "| flip | yes |",
-        "| test.box_1to1.iou | 0.91 |",
+        "targets: [box_1to1, box_2to1]",
+        "box_size: any; it is told the size",
+        "training: {epochs: 40, learning rate: 1.0e-05, flip: true}",
+        "    box_1to1: {balanced_accuracy: 0.98, iou: 0.91}",
     ):
         assert line in page.splitlines()
-    page = _CARD.to_markdown()
-    assert "\nA first | try.\n" in page
-    assert "| target size | any; it is told the size |" in page
-    assert "| datasets.1.seed | 10000 |" in page
+    one_box = dataclasses.replace(_CARD, box_size=(0.03, 0.03, 0.005), notes="")
+    page = one_box.to_markdown()
+    assert page.startswith("# CompactNet\n\n```yaml\noptions:")
+    assert "box_size: [0.03, 0.03, 0.005]\n" in page
 
 
 _TREES = st.dictionaries(

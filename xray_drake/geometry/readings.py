@@ -1,5 +1,7 @@
 """Which pixels of a depth image have a reading, and filling the others."""
 
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
 
@@ -22,6 +24,26 @@ def has_reading(depth: np.ndarray) -> np.ndarray:
         depth: of any shape, m.
     """
     return np.isfinite(depth) & (depth > 0)
+
+
+def check_shapes(
+    images: Mapping[str, np.ndarray], camera: PinholeCamera
+) -> None:
+    """Refuses images that are not the camera's.
+
+    Args:
+        images: by what a message calls them.
+        camera: that they should be of.
+
+    Raises:
+        ValueError: one has another shape.
+    """
+    for name, image in images.items():
+        if image.shape != camera.shape:
+            raise ValueError(
+                f"the {name} is {image.shape}, the camera's images are "
+                f"{camera.shape}"
+            )
 
 
 def depth_readings(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:

@@ -1,31 +1,13 @@
 """What an inference can be asked about."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.readings import depth_readings, has_reading
-
-
-def check_shapes(
-    images: Mapping[str, np.ndarray], camera: PinholeCamera
-) -> None:
-    """Refuses images that are not the camera's.
-
-    Args:
-        images: by what a message calls them.
-        camera: that they should be of.
-
-    Raises:
-        ValueError: one has another shape.
-    """
-    for name, image in images.items():
-        if image.shape != camera.shape:
-            raise ValueError(
-                f"the {name} is {image.shape}, the camera's images are "
-                f"{camera.shape}"
-            )
+from xray_drake.geometry.readings import (
+    check_shapes,
+    depth_readings,
+    has_reading,
+)
 
 
 def check_observation(

@@ -16,6 +16,7 @@ from scipy import ndimage
 from xray_drake.configuration import bin_floor, count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import (
+    check_shapes,
     depth_readings,
     has_reading,
     nearest_values,
@@ -82,15 +83,11 @@ def segment_depth(
         ValueError: an image that is not the camera's, or whose depths are not
             in metres.
     """
-    for name, image in (("depth image", depth), ("target mask", target)):
-        if image is not None and image.shape != camera.shape:
-            raise ValueError(
-                f"the {name} is {image.shape}, the camera's images are "
-                f"{camera.shape}"
-            )
     config = config or DepthSegmenterConfig()
-    blank = np.zeros(camera.shape, bool)
-    target = blank if target is None else np.asarray(target, bool)
+    if target is None:
+        target = np.zeros(camera.shape, bool)
+    check_shapes({"depth image": depth, "target mask": target}, camera)
+    target = np.asarray(target, bool)
     filled, known = _filled(depth_readings(depth, camera), config.fill_radius)
     points = camera.unproject(filled)
     objects = known & _in_bin(points, config) & ~target

@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from xray_drake.geometry.convex import hull_planes
+from xray_drake.geometry.readings import nearest_values
 
 _LEVEL_SPACING = 0.008
 """Heights are sorted into levels at most this far apart, m."""
@@ -92,9 +93,8 @@ def measure_columns(
     groups, labels = _group_columns(lowest, highest, high, thickness)
     image = np.full(silhouette.shape, -1, dtype=np.int16)
     image[rows, columns] = labels
-    return Columns(
-        groups, float(np.median(high)), _fill_to_nearest(image), pitch, origin
-    )
+    image, _ = nearest_values(image, image >= 0)
+    return Columns(groups, float(np.median(high)), image, pitch, origin)
 
 
 def _ray_heights(
@@ -146,20 +146,11 @@ def _nearest_edge(
         (n,) index, among those, of the nearest that is on the edge, and the
         distance to it in pixels.
     """
-    asked = np.zeros_like(canvas)
-    asked[rows, columns] = 1
-    edge = (cv2.erode(canvas, np.ones((3, 3), np.uint8)) == 0) & (asked > 0)
-    distance, labels = cv2.distanceTransformWithLabels(
-        (~edge).astype(np.uint8),
-        cv2.DIST_L2,
-        5,
-        labelType=cv2.DIST_LABEL_PIXEL,
-    )
-    index = np.zeros(canvas.shape, dtype=int)
+    index = np.full(canvas.shape, -1)
     index[rows, columns] = np.arange(len(rows))
-    of_label = np.zeros(labels.max() + 1, dtype=int)
-    of_label[labels[edge]] = index[edge]
-    return of_label[labels[rows, columns]], distance[rows, columns]
+    inner = cv2.erode(canvas, np.ones((3, 3), np.uint8))
+    nearest, distance = nearest_values(index, (inner == 0) & (index >= 0))
+    return nearest[rows, columns], distance[rows, columns]
 
 
 def _outline_heights(
@@ -217,17 +208,3 @@ def _group_columns(
         for k in range(len(large))
     ]
     return groups, labels
-
-
-def _fill_to_nearest(labels: np.ndarray) -> np.ndarray:
-    """Gives each unlabelled (−1) pixel the label of a nearest labelled one."""
-    _, nearest = cv2.distanceTransformWithLabels(
-        (labels < 0).astype(np.uint8),
-        cv2.DIST_L2,
-        5,
-        labelType=cv2.DIST_LABEL_PIXEL,
-    )
-    lookup = np.zeros(int(nearest.max()) + 1, dtype=np.int16)
-    known = labels >= 0
-    lookup[nearest[known]] = labels[known]
-    return lookup[nearest]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from xray_drake.configuration import bin_floor, check, choice, count, number
+from xray_drake.configuration import bin_floor, choice, count, number
 from xray_drake.occupancy.label.config import LabelConfig
 
 POSES = ("flat", "resting")
@@ -88,10 +88,9 @@ def check_label(config: GeometricConfig) -> None:
         config: for ``geometric_label`` inference.
 
     Raises:
-        ValueError: a number is out of range, or the label's orientations are
-            not among those that are searched.
+        ValueError: the label's orientations are not among those that are
+            searched.
     """
-    check(config, "geometric")
     turns = LabelConfig().rotations
     if config.rotations % turns:
         raise ValueError(

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from xray_drake.configuration import check
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor, observed_heights
 from xray_drake.messages import OccupancyDistribution
@@ -150,16 +151,12 @@ class GeometricInference:
                 that is out of range; a target without a resting pose.
         """
         config = config or GeometricConfig()
+        check(config, "geometric")
         self.method, self._sum = method, SUMS[method]
         if config.poses not in self._sum.poses:
             raise ValueError(
                 f"poses is {config.poses!r}: choose one of "
                 f"{', '.join(self._sum.poses)}"
-            )
-        if config.rotations < 1 or config.cell <= 0 or config.seen_step <= 0:
-            raise ValueError(
-                f"need at least one rotation and a positive cell and step, not "
-                f"{config.rotations}, {config.cell} and {config.seen_step}"
             )
         self._sum.check(config)
         if self._sum.blank_tolerance is not None:

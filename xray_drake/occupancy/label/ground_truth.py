@@ -4,8 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xray_drake.configuration import check
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.geometry.readings import depth_readings, has_reading
+from xray_drake.geometry.readings import (
+    check_shapes,
+    depth_readings,
+    has_reading,
+)
 from xray_drake.occupancy.label.config import LabelConfig
 from xray_drake.occupancy.label.kernels import (
     Candidates,
@@ -16,7 +21,6 @@ from xray_drake.occupancy.label.kernels import (
     relative_depths,
     rotate_target,
 )
-from xray_drake.occupancy.observation import check_shapes
 
 __all__ = ["Label", "LabelConfig", "occupancy_label"]
 
@@ -100,7 +104,14 @@ def occupancy_label(
     )
     amodal = has_reading(target)
     pivot = _pivot(p_WT, camera)
-    relative, floor = _relative(scene, camera, config)
+    outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
+    relative, floor = relative_depths(
+        scene,
+        camera.pixel_to_ray,
+        np.array(camera.X_WC[:3, 3]),
+        np.array(config.floor) + outward,
+        config.depth_tolerance,
+    )
     computed = _modal(target, scene, amodal, config.depth_tolerance)
     modal = computed if observed is None else np.array(observed, dtype=bool)
     box = _box(modal) if modal.any() else None
@@ -119,20 +130,6 @@ def occupancy_label(
     largest = float(total.max())
     distribution = total.astype(np.float32) / np.float32(max(largest, 1.0))
     return Label(distribution, amodal, modal, accepted, largest)
-
-
-def _relative(
-    scene: np.ndarray, camera: PinholeCamera, config: LabelConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (H, W) depths of scene and floor; see ``relative_depths``."""
-    outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
-    return relative_depths(
-        scene,
-        camera.pixel_to_ray,
-        np.array(camera.X_WC[:3, 3]),
-        np.array(config.floor) + outward,
-        config.depth_tolerance,
-    )
 
 
 def _candidates(
@@ -205,16 +202,7 @@ def _checked(
             "the target's image is empty: no pixel has a depth, so the target "
             "is out of the camera's view"
         )
-    if len(config.floor) != 4:
-        raise ValueError(
-            f"the floor has four bounds (x low, x high, y low, y high), not "
-            f"{config.floor}"
-        )
-    if config.step < 1 or config.rotations < 1:
-        raise ValueError(
-            f"need a step of at least one pixel and at least one rotation, "
-            f"not {config.step} and {config.rotations}"
-        )
+    check(config, "label")
     return target, scene
 
 

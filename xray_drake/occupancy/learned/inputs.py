@@ -57,23 +57,6 @@ class GeometryInput(NamedTuple):
     coarse: np.ndarray
 
 
-def heights_above_floor(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """Returns world z of what each pixel shows.
-
-    Args:
-        depth: (H, W) z-depth, m; 0, inf and NaN are no reading.
-        camera: of the image.
-
-    Returns:
-        (H, W) float32, m; NaN where there is no reading.
-    """
-    heights = observed_heights(
-        np.asarray(depth, dtype=np.float32), camera, offset=0.0
-    )
-    heights[np.isneginf(heights)] = np.nan
-    return heights
-
-
 def geometry_input(
     depth: np.ndarray,
     mask: np.ndarray,
@@ -91,9 +74,10 @@ def geometry_input(
         thickness: of the target, m.
         floor: inside of the bin's; by default that of the labels.
     """
-    heights = heights_above_floor(depth, camera)
-    reading = ~np.isnan(heights)
-    np.nan_to_num(heights, copy=False, nan=-1.0)
+    depth = np.asarray(depth, dtype=np.float32)
+    heights = observed_heights(depth, camera, offset=0.0)
+    reading = heights > -np.inf
+    heights[~reading] = -1.0
     fine = np.empty((len(FINE), *camera.shape), np.float32)
     cover = fine[0]
     np.subtract(heights, np.float32(thickness), out=cover)

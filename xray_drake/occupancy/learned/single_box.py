@@ -81,16 +81,8 @@ def nearest_ratio(ratio: float, available: Sequence[float]) -> float:
 
     Args:
         ratio: of the target, above 0.
-        available: of the networks, above 0.
-
-    Raises:
-        ValueError: there is none, or one is not above 0.
+        available: of the networks, above 0; at least one.
     """
-    if not available:
-        raise ValueError("no aspect ratio is available: there is no network")
-    for value in (ratio, *available):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{value} is no aspect ratio: it must be above 0")
     return min(available, key=lambda a: (abs(np.log(a) - np.log(ratio)), a))
 
 
@@ -112,15 +104,7 @@ def rescale_input(
     Returns:
         depth and mask of the same shapes and types; 0 (no reading) and False
         where nothing is known.
-
-    Raises:
-        ValueError: s is not above 0, or the shapes are not the same.
     """
-    _check_scale(s)
-    if depth.ndim != 2 or depth.shape != mask.shape:
-        raise ValueError(
-            f"depth is {depth.shape} and mask {mask.shape}: both must be (H, W)"
-        )
     if s == 1:
         return depth, mask
     rows, row_known = _nearest(depth.shape[0], s)
@@ -144,13 +128,7 @@ def rescale_output(distribution: np.ndarray, s: float) -> np.ndarray:
 
     Returns:
         (H, W) float32; 0 where s is below 1 and nothing is known.
-
-    Raises:
-        ValueError: s is not above 0, or there is no (H, W).
     """
-    _check_scale(s)
-    if distribution.ndim != 2:
-        raise ValueError(f"a distribution is (H, W), not {distribution.shape}")
     if s == 1:
         return distribution
     height, width = distribution.shape
@@ -173,8 +151,3 @@ def _nearest(size: int, s: float) -> tuple[np.ndarray, np.ndarray]:
     shown = np.floor(center + s * (np.arange(size) - center) + 0.5)
     known = (shown >= 0) & (shown < size)
     return np.clip(shown, 0, size - 1).astype(int), known
-
-
-def _check_scale(s: float) -> None:
-    if not (np.isfinite(s) and s > 0):
-        raise ValueError(f"{s} is no scale: it must be above 0")

@@ -7,13 +7,14 @@ card is JSON in the file's metadata, under one key.
 import dataclasses
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import safetensors.torch
 import torch
+import yaml
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
@@ -130,31 +131,15 @@ class NetworkCard:
         return cls(**tree)
 
     def to_markdown(self) -> str:
-        """Returns the card as a page to read, with a table per subject."""
-        one_box = "any; it is told the size"
-        if self.box_size is not None:
-            one_box = " × ".join(f"{1000 * side:.4g}" for side in self.box_size)
-            one_box += " mm"
-        facts = {
-            "input": self.input,
-            "targets": self.targets,
-            "target size": one_box,
-            "made by": f"xray-drake {self.package_version}",
-            "format": self.format_version,
-        }
-        parts = [f"# {self.architecture}"]
-        if self.notes:
-            parts.append(self.notes)
-        parts.append(_table(facts))
-        for title, tree in (
-            ("Options", self.options),
-            ("Data", self.data),
-            ("Training", self.training),
-            ("Figures", self.figures),
-        ):
-            if tree:
-                parts += [f"## {title}", _table(tree)]
-        return "\n\n".join(parts) + "\n"
+        """Returns the card as a page to read: name, notes, and YAML."""
+        tree = json.loads(self.to_json())
+        parts = [f"# {tree.pop('architecture')}", tree.pop("notes")]
+        tree["box_size"] = tree["box_size"] or "any; it is told the size"
+        text = yaml.safe_dump(
+            tree, sort_keys=False, allow_unicode=True, default_flow_style=None
+        )
+        parts.append(f"```yaml\n{text}```")
+        return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def save_weights(
@@ -328,37 +313,3 @@ def _as_json(tree: Any, name: str) -> Any:
     if isinstance(tree, float) and not math.isinf(tree):
         return None if math.isnan(tree) else tree
     raise ValueError(f"{name} is {tree!r}, which JSON cannot hold")
-
-
-def _table(tree: Mapping[str, Any]) -> str:
-    """A tree as a table of two columns, a row per leaf."""
-    rows = [f"| {name} | {value} |" for name, value in _leaves(tree, "")]
-    return "\n".join(["| | |", "|---|---|", *rows])
-
-
-def _leaves(tree: object, name: str) -> Iterator[tuple[str, str]]:
-    """Dotted names and texts of all that a tree holds."""
-    if isinstance(tree, Mapping) and tree:
-        for key, value in tree.items():
-            yield from _leaves(value, f"{name}.{key}" if name else str(key))
-    elif isinstance(tree, list | tuple) and any(
-        isinstance(value, Mapping | list) for value in tree
-    ):
-        for i, value in enumerate(tree, 1):
-            yield from _leaves(value, f"{name}.{i}")
-    else:
-        yield _cell(name), _cell(_text(tree))
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple):
-        return ", ".join(_text(v) for v in value)
-    return "–" if value is None or value == {} else str(value)
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.replace("|", "\\|").split())

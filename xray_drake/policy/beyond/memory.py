@@ -12,9 +12,8 @@ import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor, observed_heights
-from xray_drake.geometry.readings import depth_readings
+from xray_drake.geometry.readings import check_shapes, depth_readings
 from xray_drake.messages import Message, freeze_arrays
-from xray_drake.occupancy.observation import check_shapes
 from xray_drake.policy.beyond.shifts import (
     Look,
     distance_to,
