@@ -115,6 +115,7 @@ def contact_grasps(
         loads: weights over what the grasp holds; none takes the object's own.
         carrier: of the gripper, "wrist" or "arm".
     """
+    loads = tuple(loads or ())
     items = [
         {"kind": kind, "name": name, "rest": rest}
         for kind, name in _shapes(meshes)
@@ -122,15 +123,13 @@ def contact_grasps(
     ]
     settings = {
         "meshes": str(meshes) if meshes else None,
-        "loads": list(loads or ()),
+        "loads": list(loads),
         "carrier": carrier,
     }
     return Study(
         "contact_grasps",
         items[:most],
-        partial(
-            _measure, meshes=meshes, loads=tuple(loads or ()), carrier=carrier
-        ),
+        partial(_measure, meshes=meshes, loads=loads, carrier=carrier),
         contact_tables,
         seeds=[SEED],
         settings=settings,
