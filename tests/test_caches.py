@@ -97,8 +97,8 @@ def test_without_a_writable_package_kernels_are_compiled(
         monkeypatch.setattr(found, "from_function", lambda *_: None)
     with pytest.raises(RuntimeError, match="cannot cache"):
         numba.njit(cache=True)(add)
-    assert kernel()(add)(1, 2) == 3
-    assert kernel()(add)(3, 2) == 5
+    assert kernel(add)(1, 2) == 3
+    assert kernel(add)(3, 2) == 5
     (record,) = caplog.records
     assert kernels.VARIABLE in record.getMessage()
     (folder,) = tmp_path.iterdir()
@@ -111,11 +111,11 @@ def test_without_a_writable_package_kernels_are_compiled(
 def test_a_damaged_cache_of_kernels_is_made_anew(
     tmp_path: Path, suffix: str, content: bytes
 ) -> None:
-    assert kernel()(add)(1, 2) == 3
+    assert kernel(add)(1, 2) == 3
     (path,) = tmp_path.rglob(f"*{suffix}")
     whole = path.stat().st_size
     path.write_bytes(content)
-    assert kernel()(add)(1, 2) == 3
+    assert kernel(add)(1, 2) == 3
     assert path.stat().st_size == whole
 
 
@@ -129,4 +129,4 @@ def test_a_full_disk_costs_only_the_cache(
     monkeypatch.setattr(
         numba.core.caching.IndexDataCacheFile, "_save_data", full
     )
-    assert kernel()(add)(1, 2) == 3
+    assert kernel(add)(1, 2) == 3

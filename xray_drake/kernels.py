@@ -14,26 +14,19 @@ VARIABLE = "NUMBA_CACHE_DIR"
 Function = TypeVar("Function", bound=Callable)
 
 
-def kernel(*, nogil: bool = False) -> Callable[[Function], Function]:
+def kernel(function: Function) -> Function:
     """Compiles a function when it is first called, and keeps what comes of it.
 
     As ``numba.njit(cache=True)``, which keeps it beside the file or in the
     user's cache. Where neither can be written that raises; here it is kept in a
     folder that goes with the program. A damaged or full cache is none.
-
-    Args:
-        nogil: release Python's lock meanwhile.
     """
-
-    def compiled(function: Function) -> Function:
-        dispatcher: Any = numba.njit(nogil=nogil)(function)
-        cache = _cache(function)
-        if cache is not None:
-            # What ``cache=True`` does, with a cache of another class.
-            dispatcher._cache = cache
-        return dispatcher
-
-    return compiled
+    dispatcher: Any = numba.njit(function)
+    cache = _cache(function)
+    if cache is not None:
+        # What ``cache=True`` does, with a cache of another class.
+        dispatcher._cache = cache
+    return dispatcher
 
 
 def cache_path() -> str | None:

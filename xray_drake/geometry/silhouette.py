@@ -18,7 +18,7 @@ from xray_drake.kernels import kernel
 _SHIFT = 8
 
 
-@kernel()
+@kernel
 def draw_nearest(
     points: np.ndarray,
     nearness: np.ndarray,
@@ -224,7 +224,7 @@ def convex_mask(outline: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return mask
 
 
-@kernel()
+@kernel
 def _find_ends(
     outlines: np.ndarray,
     rows: np.ndarray,

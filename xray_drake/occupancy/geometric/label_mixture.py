@@ -10,7 +10,7 @@ LEVELS = 40
 """Values of a label are told apart in steps of a fortieth."""
 
 
-@kernel()
+@kernel
 def label_histogram(
     rasters: np.ndarray,
     raster: np.ndarray,

@@ -55,7 +55,7 @@ class Drawing(NamedTuple):
     camera: View
 
 
-@kernel()
+@kernel
 def axis_at(u: float, v: float, drawing: Drawing) -> tuple[float, float]:
     """Returns x and y of the axis that is seen at a pixel."""
     ray, center = drawing.camera.ray, drawing.camera.center
@@ -66,7 +66,7 @@ def axis_at(u: float, v: float, drawing: Drawing) -> tuple[float, float]:
     return x, y
 
 
-@kernel()
+@kernel
 def draw_body(
     drawing: Drawing, pixel: np.ndarray, canvas: np.ndarray
 ) -> np.ndarray:
@@ -115,7 +115,7 @@ def draw_body(
     return box
 
 
-@kernel()
+@kernel
 def draw_in_block(
     drawing: Drawing, corner: np.ndarray, side: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +128,7 @@ def draw_in_block(
     return canvas, draw_body(drawing, pixel, canvas)
 
 
-@kernel()
+@kernel
 def box_spans(
     box: np.ndarray, reach: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:

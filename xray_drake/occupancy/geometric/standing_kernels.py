@@ -62,7 +62,7 @@ class Tiles(NamedTuple):
     heights: np.ndarray
 
 
-@kernel()
+@kernel
 def _runs(canvas: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Lists a silhouette's runs.
 
@@ -92,7 +92,7 @@ def _runs(canvas: np.ndarray, box: np.ndarray) -> np.ndarray:
     return runs[:count]
 
 
-@kernel()
+@kernel
 def _tiles(canvas: np.ndarray, box: np.ndarray) -> Tiles:
     """Sorts a silhouette's cells into tiles.
 
@@ -157,7 +157,7 @@ def with_neighbours(observed: np.ndarray) -> np.ndarray:
     )
 
 
-@kernel()
+@kernel
 def _shows(
     v: int,
     u: int,
@@ -196,7 +196,7 @@ def _shows(
     return seen
 
 
-@kernel()
+@kernel
 def _keeps(
     u: int,
     v: int,
@@ -223,7 +223,7 @@ def _keeps(
     return room[0] <= x <= room[1] and room[2] <= y <= room[3]
 
 
-@kernel()
+@kernel
 def count_hidden(
     observed: np.ndarray,
     candidates: PoseGrid,
@@ -264,7 +264,7 @@ def count_hidden(
                     _add(change, runs, v, u, weights[b])
 
 
-@kernel()
+@kernel
 def _add(
     change: np.ndarray, runs: np.ndarray, v: int, u: int, weight: float
 ) -> None:
@@ -276,7 +276,7 @@ def _add(
             change[row, min(max(u + runs[i, 2], 0), width)] -= weight
 
 
-@kernel()
+@kernel
 def count_common(
     running: np.ndarray,
     candidates: PoseGrid,
@@ -319,7 +319,7 @@ def count_common(
     return common
 
 
-@kernel()
+@kernel
 def count_shown(
     observed: np.ndarray,
     common: np.ndarray,
@@ -387,7 +387,7 @@ def count_shown(
     return shown
 
 
-@kernel()
+@kernel
 def add_accepted(
     accepted: np.ndarray,
     weights: np.ndarray,

@@ -24,13 +24,13 @@ _TIE = 1e-6
 """Halves round up, and so does what is this close below, pixels."""
 
 
-@kernel()
+@kernel
 def nearest(value: float) -> int:
     """Rounds to the nearest pixel."""
     return int(np.floor(value + 0.5 + _TIE))
 
 
-@kernel()
+@kernel
 def relative_depths(
     scene: np.ndarray,
     ray: np.ndarray,
@@ -77,7 +77,7 @@ def relative_depths(
     return relative, floor
 
 
-@kernel()
+@kernel
 def rotate_target(
     target: np.ndarray,
     floor: np.ndarray,
@@ -119,7 +119,7 @@ def rotate_target(
     return rasters
 
 
-@kernel()
+@kernel
 def find_runs(rasters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Finds the unbroken runs of pixels in each row of each raster.
 
@@ -155,7 +155,7 @@ def find_runs(rasters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return runs, starts
 
 
-@kernel()
+@kernel
 def _add(change: np.ndarray, runs: np.ndarray, row: int, column: int) -> None:
     """Adds a mask to an image of differences along its rows."""
     for n in range(len(runs)):
@@ -163,7 +163,7 @@ def _add(change: np.ndarray, runs: np.ndarray, row: int, column: int) -> None:
         change[row + runs[n, 0], column + runs[n, 2]] -= 1
 
 
-@kernel()
+@kernel
 def _any_nearer(depths: np.ndarray, others: np.ndarray) -> bool:
     """Says whether any of (n,) depths is less than its counterpart."""
     found = 0
@@ -195,7 +195,7 @@ class Candidates(NamedTuple):
     step: int
 
 
-@kernel()
+@kernel
 def count_hidden(
     relative: np.ndarray,
     candidates: Candidates,
@@ -252,7 +252,7 @@ def count_hidden(
     return accepted
 
 
-@kernel()
+@kernel
 def count_seen(
     relative: np.ndarray,
     observed: np.ndarray,
