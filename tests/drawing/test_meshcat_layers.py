@@ -68,6 +68,7 @@ def test_occupancy_lies_on_the_heap(
 ) -> None:
     depth = camera.plane_depth(0.0).astype(np.float32)
     depth[9:12, 14:18] -= 0.1
+    depth[10, 16] = 0
     values = np.zeros(camera.shape)
     values[4:16, 10:24] = 0.5
     draw_occupancy(meshcat, "/t/occupancy", values, depth, camera, opacity=0.3)
@@ -77,6 +78,9 @@ def test_occupancy_lies_on_the_heap(
     assert (v.min(), v.max()) == pytest.approx((4, 14), abs=0.01)
     assert drawn[:, 2].min() == pytest.approx(0.0, abs=0.01)
     assert drawn[:, 2].max() == pytest.approx(0.1, abs=0.01)
+    # It does not tear where there is no reading.
+    on_block = (abs(u - 15) < 2) & (abs(v - 10) < 1)
+    assert drawn[on_block, 2].min() == pytest.approx(0.1, abs=0.01)
     # Linear light: the colours on the screen are those of the colour map.
     (geometry,) = shown(meshcat, "/t/occupancy")["geometries"]
     colors = geometry["data"]["attributes"]["color"]["array"]
