@@ -15,15 +15,13 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     Diagram,
-    DiagramBuilder,
     System,
 )
 
 from xray_drake.gym.environment import MechanicalSearchEnv
-from xray_drake.lifetimes import CollectableLeafSystem, my_context
+from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import SearchAction
 from xray_drake.scene import heap as heap_module
 from xray_drake.scene.heap import Heap, drop_heap
@@ -94,91 +92,6 @@ def test_ports_are_declared_in_one_way(trees: dict[str, ast.Module]) -> None:
         ]
         for node in (n for argument in declared for n in ast.walk(argument)):
             assert not isinstance(node, ast.Name) or node.id != "self", name
-
-
-# The base class.
-
-
-class Sum(CollectableLeafSystem):
-    """Adds one to its input, by a cache entry and both kinds of ports."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._term = self.DeclareVectorInputPort("term", 1)
-        self._sum = self.DeclareCacheEntry(
-            description="sum",
-            allocate=self._allocate,
-            calc=self._add,
-            prerequisites_of_calc={self._term.ticket()},
-        )
-        tickets = {self._sum.ticket()}
-        self.DeclareVectorOutputPort("a", 1, self._calc, tickets)
-        self.DeclareVectorOutputPort(
-            name="b",
-            size=1,
-            calc=self._calc,
-            prerequisites_of_calc=tickets,
-        )
-        self.DeclareAbstractOutputPort("c", self._allocate, self._calc_value)
-        self.DeclareAbstractOutputPort(
-            name="d",
-            alloc=self._allocate,
-            calc=self._calc_value,
-            prerequisites_of_calc=tickets,
-        )
-        self.calls = 0
-
-    def _allocate(self) -> AbstractValue:
-        return Value(0.0)
-
-    def _add(self, context: Context, output: AbstractValue) -> None:
-        self.calls += 1
-        output.set_value(self._term.Eval(context)[0] + 1)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector([self._sum.Eval(context)])
-
-    def _calc_value(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._sum.Eval(context))
-
-
-def evaluated(system: Sum) -> list[Any]:
-    context = system.CreateDefaultContext()
-    results = []
-    for value in (1.0, 2.0):
-        system.get_input_port().FixValue(context, [value])
-        results += [
-            float(np.squeeze(system.GetOutputPort(name).Eval(context)))
-            for name in "abcd"
-        ]
-    return results
-
-
-def in_a_diagram() -> dict[str, Any]:
-    builder = DiagramBuilder()
-    system = builder.AddSystem(Sum())
-    diagram = builder.Build()
-    root = diagram.CreateDefaultContext()
-    assert my_context(diagram, root) is root
-    system.ValidateContext(my_context(system, root))
-    return {"system": system, "root": root}
-
-
-def test_ports_and_cache_entries_compute() -> None:
-    system = Sum()
-    assert evaluated(system) == [2.0] * 4 + [3.0] * 4
-    assert system.calls == 2
-    in_a_diagram()
-
-
-@freed_by_drake
-def test_a_system_and_its_contexts_are_freed() -> None:
-    def build() -> Watched:
-        alone = Sum()
-        evaluated(alone)
-        return watch(alone=alone, **in_a_diagram())
-
-    assert left(build()) == []
 
 
 # The systems of the package, in searches that have them all.
@@ -376,18 +289,18 @@ def small_scenario(tiny_scenario: Scenario) -> Scenario:
     return tiny_scenario
 
 
-def act(env: MechanicalSearchEnv, seed: int) -> None:
-    observation, _ = env.reset(seed=seed)
-    action = int(np.argmax(observation["action_mask"]))
-    *_, terminated, truncated, info = env.step(action)
-    assert info["valid"]
-    assert terminated or truncated
+def resident() -> float:
+    """Returns the memory that the process holds, MB, where Linux tells it."""
+    if not STATM.exists():
+        return 0.0
+    return int(STATM.read_text().split()[1]) * 4096 / 1e6
 
 
 @freed_by_drake
 def test_an_episode_is_freed_before_the_next(
     small_heap: Heap, small_scenario: Scenario
 ) -> None:
+    """So thirty of them add little memory."""
     watched: Watched = {}
 
     def drop(scenario: Scenario) -> Heap:
@@ -397,35 +310,25 @@ def test_an_episode_is_freed_before_the_next(
     env = MechanicalSearchEnv(
         small_scenario, drop=drop, render_mode="rgb_array"
     )
-    for seed in range(2):
-        act(env, seed)
-        env.render()
+    before = 0.0
+    gc.freeze()  # or the collector would look at all of torch each time
+    for seed in range(35):
+        if seed == 5:
+            before = resident()
+        observation, _ = env.reset(seed=seed)
+        action = int(np.argmax(observation["action_mask"]))
+        *_, terminated, truncated, info = env.step(action)
+        assert info["valid"]
+        assert terminated or truncated
+        if seed < 5:
+            env.render()
         watched = watch(
             diagram=env.simulator.get_system(),
             context=env.simulator.get_context(),
             monitor=env.monitor,
         )
     assert len(left(watched)) == 3
+    assert resident() - before < 30
     env.close()
     assert left(watched) == []
-
-
-def resident() -> float:
-    """Returns the memory that the process holds, MB."""
-    return int(STATM.read_text().split()[1]) * 4096 / 1e6
-
-
-@freed_by_drake
-@pytest.mark.skipif(not STATM.exists(), reason="Linux tells it")
-def test_thirty_episodes_add_little_memory(
-    small_heap: Heap, small_scenario: Scenario
-) -> None:
-    env = MechanicalSearchEnv(small_scenario, drop=lambda scenario: small_heap)
-    for seed in range(5):
-        act(env, seed)
-    gc.freeze()  # or the collector would look at all of torch each time
-    before = resident()
-    for seed in range(30):
-        act(env, seed)
     gc.unfreeze()
-    assert resident() - before < 30

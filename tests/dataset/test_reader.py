@@ -208,6 +208,10 @@ def test_a_process_without_drake_reads_the_same(
     script = (
         "import pickle, sys\n"
         "sys.modules['pydrake'] = None\n"
+        "import xray_drake.training.disturbance\n"
+        "import xray_drake.training.evaluation\n"
+        "assert 'torch' not in sys.modules\n"
+        "import xray_drake.training.predictors\n"
         "from xray_drake.dataset.check import check_dataset\n"
         "from xray_drake.inspector.figures import sample_figure\n"
         "from xray_drake.inspector.dataset import sample_layers\n"

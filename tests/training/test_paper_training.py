@@ -115,25 +115,6 @@ def _weights(path: Path) -> dict[str, Tensor]:
     return safetensors.torch.load_file(path / WEIGHTS)
 
 
-def test_the_papers_numbers() -> None:
-    told = dataclasses.asdict(load_config("paper"))
-    numbers = {
-        "architecture": "fcn_resnet50",
-        "input": "augmented_depth",
-        "targets": ["box_2to1"],
-        "optimizer": "sgd",
-        "loss": "mse",
-        "learning_rate": 1e-5,
-        "momentum": 0.99,
-        "weight_decay": 0.0005,
-        "passes": 40,
-        "validation_share": 0.2,
-        "label_scale": 255,
-        "flips": False,
-    }
-    assert {key: told[key] for key in numbers} == numbers
-
-
 def test_the_steps_are_stochastic_gradient_descents(
     folder: Path, tmp_path: Path, small: None
 ) -> None:
