@@ -15,9 +15,8 @@ def block(extents, X_WO):
 
 def model_block(name, *extents, density=600.0):
     """A block whose model is known."""
-    return object_from_pieces(
-        name, [trimesh.creation.box(extents)], density=density
-    )
+    pieces = [trimesh.creation.box(extents)]
+    return object_from_pieces(name, pieces, density=density)
 
 
 def ball(radius, x, y, z):
@@ -25,9 +24,8 @@ def ball(radius, x, y, z):
 
 
 def rod(radius, length, X_WO):
-    return trimesh.creation.cylinder(
-        radius, length, sections=64
-    ).apply_transform(X_WO)
+    mesh = trimesh.creation.cylinder(radius, length, sections=64)
+    return mesh.apply_transform(X_WO)
 
 
 def turned(camera, X):

@@ -32,10 +32,8 @@ def space(*meshes, camera=CAMERA):
 def poses(rng, count):
     """Grippers about the middle, most of them near the floor."""
     X = np.array([downwards(0, 0, 0)] * count)
-    lean = Rotation.from_rotvec(
-        rng.normal(scale=0.25, size=(count, 3)) * [1, 1, 6]
-    )
-    X[:, :3, :3] = lean.as_matrix() @ X[:, :3, :3]
+    lean = rng.normal(scale=0.25, size=(count, 3)) * [1, 1, 6]
+    X[:, :3, :3] = Rotation.from_rotvec(lean).as_matrix() @ X[:, :3, :3]
     X[:, :3, 3] = rng.uniform([-0.1, -0.1, 0.005], [0.1, 0.1, 0.06], (count, 3))
     return X
 
@@ -59,9 +57,8 @@ def unknown_points(depth, camera):
 
 def beside_the_image(camera):
     """Points up to 15 pixels outside the image, (m, 3)."""
-    u, v = np.meshgrid(
-        *(np.arange(-15, n + 16, 7.5) for n in (camera.width, camera.height))
-    )
+    size = camera.width, camera.height
+    u, v = np.meshgrid(*(np.arange(-15, n + 16, 7.5) for n in size))
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     pixels = np.stack([u, v, np.ones_like(u)], axis=-1)[~inside]
     rays = pixels @ np.linalg.inv(camera.intrinsics).T
@@ -72,9 +69,8 @@ def beside_the_image(camera):
 def bin_faces():
     """The inner faces of the bin, every 5 mm, the floor 3 mm lower: it is no
     obstacle within 2 mm of where it is. (m, 3)."""
-    corners = np.column_stack(
-        [BIN_FLOOR_X, BIN_FLOOR_Y, (-0.003, BIN_WALL_HEIGHT)]
-    )
+    heights = -0.003, BIN_WALL_HEIGHT
+    corners = np.column_stack([BIN_FLOOR_X, BIN_FLOOR_Y, heights])
     box = trimesh.creation.box(bounds=corners).subdivide_to_size(0.005)
     return box.vertices[box.vertices[:, 2] < BIN_WALL_HEIGHT - 1e-6]
 

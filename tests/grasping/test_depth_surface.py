@@ -58,9 +58,8 @@ def test_a_part_of_the_image_shows_the_same_points(name):
     depth, mask = see(camera, block([0.06, 0.03, 0.02], at(0.1, 0.05, 0.01)))
     surface = observe(depth, mask, camera, min_pixels=10)
     assert surface.depth.shape == surface.camera.shape < camera.shape
-    np.testing.assert_allclose(
-        surface.object_points, camera.unproject(depth)[mask], atol=1e-7
-    )
+    points = camera.unproject(depth)[mask]
+    np.testing.assert_allclose(surface.object_points, points, atol=1e-7)
     uvz = surface.camera.project(surface.object_points)
     v, u = np.nonzero(surface.mask)
     np.testing.assert_allclose(uvz[:, :2], np.stack([u, v], -1), atol=1e-4)
@@ -123,9 +122,8 @@ def test_a_plate_is_found_where_the_lip_fits(name, pitch):
     # A pixel and a half more than the lip itself needs.
     assert np.abs(p[:, 0]).max() < 0.035 - 0.015 + 0.002
     assert np.abs(p[:, 1]).max() < 0.025 - 0.015 + 0.002
-    np.testing.assert_allclose(
-        points.approach, np.tile(-X[:3, 2], (len(p), 1)), atol=0.03
-    )
+    inwards = np.tile(-X[:3, 2], (len(p), 1))
+    np.testing.assert_allclose(points.approach, inwards, atol=0.03)
     middle = np.linalg.norm(p[:, :2], axis=1) < 0.003
     assert points.roomy[middle].all()
     assert not points.roomy[np.abs(p[:, 1]) > 0.008].any()

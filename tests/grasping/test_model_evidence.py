@@ -184,6 +184,5 @@ def test_plans_follow_from_seed_and_heap_alone():
     np.testing.assert_array_equal(a.X_WG, b.X_WG)
     assert (a.width, a.quality) == (b.width, b.quality)
     other = ModelEvidence([FLAT], seed=4).samples("flat")[0]
-    assert not np.array_equal(
-        first.evidence.samples("flat")[0].first, other.first
-    )
+    own = first.evidence.samples("flat")[0]
+    assert not np.array_equal(own.first, other.first)

@@ -99,9 +99,8 @@ class BinCell:
         """Connects what looks at bodies and pulls at them to the plant."""
         builder, plant = self.builder, self.plant
         for name in ("body_poses", "body_spatial_velocities"):
-            builder.Connect(
-                plant.GetOutputPort(name), system.GetInputPort(name)
-            )
+            source = plant.GetOutputPort(name)
+            builder.Connect(source, system.GetInputPort(name))
         builder.Connect(
             system.GetOutputPort("applied_spatial_force"),
             plant.get_applied_spatial_force_input_port(),
@@ -202,12 +201,11 @@ class ContactCell(TransferCell):
                 controller.GetOutputPort(f"{name}_desired_state"),
                 self.plant.get_desired_state_input_port(instance),
             )
-        connect(
-            cup.GetOutputPort("state"), controller.GetInputPort("cup_state")
-        )
-        connect(
-            controller.GetOutputPort("suction"), cup.GetInputPort("suction")
-        )
+        for source, output, drain, name in (
+            (cup, "state", controller, "cup_state"),
+            (controller, "suction", cup, "suction"),
+        ):
+            connect(source.GetOutputPort(output), drain.GetInputPort(name))
         self.build(controller)
 
 
@@ -227,12 +225,10 @@ class DrivenCell(BinCell):
             ("wrist", gripper.carrier_instance),
             ("fingers", gripper.finger_instance),
         ):
-            builder.ExportInput(
-                plant.get_desired_state_input_port(instance), name
-            )
-            builder.ExportOutput(
-                plant.get_net_actuation_output_port(instance), f"{name}_effort"
-            )
+            desired = plant.get_desired_state_input_port(instance)
+            effort = plant.get_net_actuation_output_port(instance)
+            builder.ExportInput(desired, name)
+            builder.ExportOutput(effort, f"{name}_effort")
         if camera:
             sensor, _ = add_camera(builder, self.scene_graph, nominal_camera())
             builder.ExportOutput(sensor.label_image_output_port(), "label")

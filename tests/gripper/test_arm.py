@@ -77,9 +77,8 @@ def test_paths_keep_the_limits_and_do_not_jump(arm):
     assert np.all(np.abs(a) <= arm.limits.acceleration)
     assert np.all((arm.limits.lower <= q) & (q <= arm.limits.upper))
     # Positions and velocities belong together, from leg to leg, too.
-    np.testing.assert_allclose(
-        np.diff(q, axis=0), 0.01 * (v[1:] + v[:-1]) / 2, atol=5e-4
-    )
+    way = 0.01 * (v[1:] + v[:-1]) / 2
+    np.testing.assert_allclose(np.diff(q, axis=0), way, atol=5e-4)
     tool = np.array([arm.pose(position)[:3, 3] for position in q])
     speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) / 0.01
     assert speed.max() <= 0.8

@@ -62,9 +62,8 @@ def test_it_is_straight_and_turns_the_short_way(segment, share):
     np.testing.assert_allclose(done, way * step, atol=1e-9)
     whole = Rotation.from_matrix(segment.start[:3, :3].T @ segment.end[:3, :3])
     part = Rotation.from_matrix(segment.start[:3, :3].T @ R)
-    np.testing.assert_allclose(
-        part.magnitude(), way * whole.magnitude(), atol=1e-6
-    )
+    turned = way * whole.magnitude()
+    np.testing.assert_allclose(part.magnitude(), turned, atol=1e-6)
 
 
 @settings(max_examples=30)
