@@ -74,16 +74,6 @@ class CalibrationCounts:
     observed: np.ndarray = field(default_factory=lambda: np.zeros(BINS, int))
     squared_error: float = 0.0
 
-    def __post_init__(self) -> None:
-        for name, dtype in (
-            ("pixels", np.int64),
-            ("predicted", np.float64),
-            ("observed", np.int64),
-        ):
-            array: np.ndarray = np.array(getattr(self, name), dtype=dtype)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-
     def __add__(self, other: "CalibrationCounts") -> "CalibrationCounts":
         """Adds counts in the same bins."""
         return CalibrationCounts(*map(add, astuple(self), astuple(other)))

@@ -93,7 +93,8 @@ def segment_depth(
     objects = known & _in_bin(points, config) & ~target
     labels = np.full(camera.shape, -1, np.int32)
     if objects.any():
-        arm = _arm_in_pixels(filled[objects], camera, config.arm)
+        middle = float(np.median(filled[objects]))
+        arm = max(1, round(config.arm * camera.intrinsics[0, 0] / middle))
         box = _box(objects, margin=arm + 1)
         labels[box] = _segments(
             filled[box], points[box][..., 2], objects[box], camera, arm, config
@@ -125,12 +126,6 @@ def _in_bin(points: np.ndarray, config: DepthSegmenterConfig) -> np.ndarray:
         & (x < x_high - wall)
         & (y > y_low + wall)
         & (y < y_high - wall)
-    )
-
-
-def _arm_in_pixels(depth: np.ndarray, camera: PinholeCamera, arm: float) -> int:
-    return max(
-        1, round(arm * camera.intrinsics[0, 0] / float(np.median(depth)))
     )
 
 
