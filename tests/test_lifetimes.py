@@ -24,7 +24,10 @@ from xray_drake.gym.environment import MechanicalSearchEnv
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import SearchAction
 from xray_drake.scene import heap as heap_module
-from xray_drake.scene.heap import Heap, drop_heap
+from xray_drake.scene.drop import drop_heap
+from xray_drake.scene.heap import (
+    Heap,
+)
 from xray_drake.scene.library import make_object
 from xray_drake.scene.targets import target_model
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram

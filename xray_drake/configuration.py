@@ -18,6 +18,7 @@ twice, none that does not exist, no value of another type.
 
 import dataclasses
 import difflib
+import itertools
 import numbers
 import re
 import types
@@ -28,24 +29,19 @@ from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
-import yaml
 
-from xray_drake.ranges import Choice, Interval, Numbers, Rectangle, Rule
+from xray_drake.ranges import Choice, Interval, Numbers, Rule
+from xray_drake.trees import (
+    ConfigurationError,
+)
 
 SEEDS = f"[0, {2**63 - 1}]"
 """Range of a seed: datasets keep them in 64 bits."""
-
-BIN_FLOOR = (-0.25, 0.25, -0.20, 0.20)
-"""Inside of the bin's floor: x low, x high, y low, y high, m (PROTOCOL.md)."""
 
 _RULE = "rule"
 _PATH = "path"
 
 Config = TypeVar("Config")
-
-
-class ConfigurationError(ValueError):
-    """A configuration that cannot be used: where, which key, what to do."""
 
 
 def number(default: float, interval: str) -> Any:
@@ -82,20 +78,19 @@ def number_list(
     return field(default_factory=lambda: list(default), metadata={_RULE: rule})
 
 
-def bin_floor() -> Any:
-    """A field of a dataclass: x low, x high, y low, y high of a floor, m.
-
-    The default is :data:`BIN_FLOOR`.
-    """
-    return field(
-        default_factory=lambda: list(BIN_FLOOR),
-        metadata={_RULE: Rectangle()},
-    )
-
-
 def path_field() -> Any:
     """A field of a dataclass: a path, or "" for none."""
     return field(default="", metadata={_PATH: True})
+
+
+def path_or_name(default: str, suffixes: Sequence[str]) -> Any:
+    """A field of a dataclass: text that is a path if it ends as a file does.
+
+    Args:
+        default: its default.
+        suffixes: of files, lower case, as in ".stl".
+    """
+    return field(default=default, metadata={_PATH: tuple(suffixes)})
 
 
 def path_list() -> Any:
@@ -145,6 +140,9 @@ def rules_of(schema: type, foreign: Rules | None = None) -> Mapping[str, Rule]:
 def check(config: Any, source: str, foreign: Rules | None = None) -> None:
     """Checks all fields of a configuration, nested ones too.
 
+    A dataclass that has a method ``complaints`` is asked for what is wrong
+    between its fields: it yields lines that begin with a field.
+
     Args:
         config: a dataclass, which may hold structs of Drake's.
         source: what the message begins with, e.g. the file.
@@ -168,6 +166,10 @@ def _complaints(
             continue
         if is_struct(value):
             yield from _complaints(value, f"{path}.", foreign)
+        elif isinstance(value, dict):
+            for key, item in value.items():
+                if is_struct(item):
+                    yield from _complaints(item, f"{path}.{key}.", foreign)
         elif rule is not None:
             if said := rule.broken_by(value):
                 yield f"{path} is {_shown(value)}: {said}"
@@ -175,6 +177,21 @@ def _complaints(
             np.isfinite(value).all()
         ):
             yield f"{path} is {_shown(value)}: it must be finite"
+    for said in getattr(config, "complaints", tuple)():
+        yield f"{prefix}{said}"
+
+
+def in_order(config: Any, *names: str) -> Iterator[str]:
+    """Yields what is wrong where fields must rise, for ``complaints``.
+
+    Args:
+        config: has the fields.
+        names: of fields, none greater than the next.
+    """
+    for low, high in itertools.pairwise(names):
+        least, most = _value(config, low), _value(config, high)
+        if least > most:
+            yield f"{low} is {least}: it must be at most {most}, {high}"
 
 
 def _shown(value: Any) -> str:
@@ -199,7 +216,11 @@ def with_paths(config: Config, folder: Path) -> Config:
     changed: dict[str, Any] = {}
     for f in dataclasses.fields(config):  # type: ignore[arg-type]
         value = getattr(config, f.name)
-        if f.metadata.get(_PATH):
+        suffixes = f.metadata.get(_PATH)
+        if isinstance(suffixes, tuple):
+            if Path(value).suffix.lower() in suffixes:
+                changed[f.name] = _absolute(value, folder)
+        elif suffixes:
             changed[f.name] = (
                 [_absolute(path, folder) for path in value]
                 if isinstance(value, list)
@@ -238,6 +259,8 @@ def _tree_of(value: Any, kind: Any) -> Any:
         return tree
     if isinstance(value, list | tuple):
         return [_tree_of(item, type(item)) for item in value]
+    if isinstance(value, dict):
+        return {key: _tree_of(item, type(item)) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return float(value) if kind is float else value
@@ -264,60 +287,6 @@ def _is_plain(part: Any) -> TypeGuard[dict[str, Any]]:
     return isinstance(part, dict) and bool(part) and "_tag" not in part
 
 
-def read_text(path: Path) -> str:
-    """Reads a file.
-
-    Raises:
-        ConfigurationError: it cannot be read, or is no text.
-    """
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read {path}: {error}") from error
-
-
-def read_tree(text: str, source: str) -> dict[str, Any]:
-    """Reads YAML whose top level is keys and values.
-
-    Numbers are those of YAML 1.2: 1e-3 is one, 1:30 and 010 are text.
-
-    Args:
-        text: YAML; empty text holds no keys.
-        source: what a message begins with, e.g. the file.
-
-    Returns:
-        Mappings, lists, strings, numbers, booleans and ``None``; a mapping
-        with a tag has it under the key "_tag".
-
-    Raises:
-        ConfigurationError: it is not YAML, a key stands twice, or its top
-            level is something else.
-    """
-    try:
-        tree = yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        where = " ".join(str(error).split())
-        raise ConfigurationError(f"{source} is not YAML: {where}") from error
-    if tree is None:
-        return {}
-    if not isinstance(tree, dict) or "_tag" in tree:
-        kind = tree["_tag"] if isinstance(tree, dict) else type(tree).__name__
-        raise ConfigurationError(
-            f"{source}: its top level must be keys and values, not {kind}"
-        )
-    return tree
-
-
-def write_tree(tree: Mapping[str, Any]) -> str:
-    """Returns YAML that :func:`read_tree` reads as it was."""
-    return yaml.dump(
-        tree,
-        Dumper=_Dumper,
-        default_flow_style=None,
-        sort_keys=False,
-    )
-
-
 def check_tree(
     tree: Mapping[str, Any],
     schema: type,
@@ -340,15 +309,69 @@ def check_tree(
         raise ConfigurationError(f"{source}: {said}")
 
 
-def build(schema: type[Config], tree: Mapping[str, Any]) -> Config:
-    """Makes a dataclass of a tree that :func:`check_tree` has found right."""
-    kinds = fields_of(schema)
-    return schema(**{k: _built(kinds[k], v) for k, v in tree.items()})
+def build(schema: type[Config], tree: Mapping[str, Any], source: str) -> Config:
+    """Makes a dataclass of a tree that :func:`check_tree` has found right.
+
+    What is left out has the dataclass's default; of a Drake struct as well,
+    field by field.
+
+    Args:
+        schema: a dataclass, which may hold Drake's structs.
+        tree: keys and values.
+        source: what a message begins with, e.g. the file.
+
+    Raises:
+        ConfigurationError: Drake cannot make its struct of a part of the tree.
+    """
+    kinds, made = fields_of(schema), {}
+    for f in dataclasses.fields(schema):  # type: ignore[arg-type]
+        if f.name in tree:
+            default = None
+            if f.default_factory is not dataclasses.MISSING:
+                default = f.default_factory()
+            made[f.name] = _built(
+                kinds[f.name], tree[f.name], f"{source}: {f.name}", default
+            )
+    return schema(**made)
 
 
-def _built(kind: Any, value: Any) -> Any:
+def build_struct(
+    kind: Any, tree: Mapping[str, Any], source: str, defaults: Any = None
+) -> Any:
+    """Makes one of Drake's structs of a tree; see :func:`build`.
+
+    Args:
+        kind: of the struct.
+        tree: keys and values.
+        source: what a message begins with, e.g. the file.
+        defaults: a struct that has what the tree has not; it is left as it is.
+    """
+    from pydrake.common.yaml import yaml_dump, yaml_load_typed
+
+    try:
+        return yaml_load_typed(
+            schema=kind, data=yaml_dump(tree), defaults=defaults
+        )
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise ConfigurationError(f"{source}: {said}") from error
+
+
+def _built(kind: Any, value: Any, source: str, default: Any = None) -> Any:
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if value is None:
+        return None
     if dataclasses.is_dataclass(kind):
-        return build(typing.cast(type, kind), value)
+        return build(typing.cast(type, kind), value, source)
+    if is_struct(kind):
+        return build_struct(kind, value, source, default)
+    if origin is list:
+        return [_built(arguments[0], item, source) for item in value]
+    if origin is dict:
+        return {
+            key: _built(arguments[1], item, f"{source}.{key}")
+            for key, item in value.items()
+        }
     return float(value) if kind is float else value
 
 
@@ -390,6 +413,12 @@ def _strange(
     elif origin is dict:
         if not isinstance(value, dict):
             yield f"{is_}: it must be keys and values"
+            return
+        for key, item in value.items():
+            if arguments[1] is not Any:
+                yield from _strange(
+                    item, arguments[1], f"{path}.{key}", foreign
+                )
     elif is_struct(kind):
         if not isinstance(value, dict):
             yield f"{is_}: it must be keys and values"
@@ -414,78 +443,3 @@ def _strange(
 def _tag(kind: Any) -> str:
     """Returns the tag of one of Drake's structs: its name, without the size."""
     return "!" + re.split(r"\W|𝓣", getattr(kind, "__name__", ""))[0]
-
-
-class _Resolver:
-    """YAML 1.2's numbers, and no dates."""
-
-    yaml_implicit_resolvers: typing.ClassVar[dict] = {}
-
-
-for _first, _tags in yaml.SafeLoader.yaml_implicit_resolvers.items():
-    _Resolver.yaml_implicit_resolvers[_first] = [
-        (tag, pattern)
-        for tag, pattern in _tags
-        if tag.rsplit(":", 1)[-1] not in ("int", "float", "timestamp")
-    ]
-for _name, _pattern, _starts in (
-    ("int", r"[-+]?(0|[1-9][0-9_]*)$|0x[0-9a-fA-F]+$", "-+0123456789"),
-    (
-        "float",
-        r"[-+]?(\d[\d_]*\.\d*|\.\d+|\d+(?=[eE]))([eE][-+]?\d+)?$"
-        r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$",
-        "-+0123456789.",
-    ),
-):
-    for _first in _starts:
-        _Resolver.yaml_implicit_resolvers.setdefault(_first, []).append(
-            (f"tag:yaml.org,2002:{_name}", re.compile(_pattern))
-        )
-
-
-class _Loader(yaml.SafeLoader):
-    """Rejects duplicate keys, which YAML readers accept silently."""
-
-    yaml_implicit_resolvers = _Resolver.yaml_implicit_resolvers
-
-    def construct_mapping(
-        self, node: yaml.MappingNode, deep: bool = False
-    ) -> dict:
-        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} stands twice", node.start_mark
-                )
-        return super().construct_mapping(node, deep=deep)
-
-
-def _construct_tagged(loader: _Loader, tag: str, node: yaml.Node) -> dict:
-    """Reads ``!Rpy {…}``: tags are Drake's."""
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(
-            None, None, f"!{tag} must tag keys and values", node.start_mark
-        )
-    return {**loader.construct_mapping(node, deep=True), "_tag": f"!{tag}"}
-
-
-_Loader.add_multi_constructor("!", _construct_tagged)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes plainly what :class:`_Loader` reads as the same."""
-
-    yaml_implicit_resolvers = _Resolver.yaml_implicit_resolvers
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _represent_mapping(dumper: _Dumper, data: Mapping) -> yaml.Node:
-    tree = {key: value for key, value in data.items() if key != "_tag"}
-    return dumper.represent_mapping(
-        data.get("_tag", "tag:yaml.org,2002:map"), tree
-    )
-
-
-_Dumper.add_representer(dict, _represent_mapping)

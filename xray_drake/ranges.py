@@ -104,21 +104,6 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Rectangle:
-    """x low, x high, y low, y high, m."""
-
-    sides: Numbers = Numbers(Interval(-10, 10), (4,))
-
-    def broken_by(self, value: Any) -> str:
-        """Returns what is wrong with a value."""
-        said = self.sides.broken_by(value)
-        if not said and not (value[0] < value[1] and value[2] < value[3]):
-            said = "it must be x low, x high, y low, y high, each low below its"
-            said += " high"
-        return said
-
-
-@dataclass(frozen=True)
 class Choice:
     """One of some names."""
 

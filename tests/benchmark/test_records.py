@@ -113,11 +113,7 @@ BOTH = r"both hold xray \({}\)"
             *({"perception__geometric__rotations": 16}, 2),
             *("geometric", BOTH.format("geometric")),
         ),
-        # Every variant is told the floor.
-        (
-            *({"perception__geometric__floor": [-0.2, 0.2, -0.2, 0.2]}, 1),
-            *("learned", BOTH.format("learned")),
-        ),
+        ({"cell__bin__length": 0.6}, 2, "geometric", DIFFERENT),
     ],
 )
 def test_heaps_are_of_one_scenario_and_a_variant_has_one_setting(
@@ -205,14 +201,13 @@ def test_changes_are_told(tmp_path: Path) -> None:
         horizon=5,
         scene__heap__sleep=False,
         scene__meshes=["/a", "/b"],
-        camera__X_PB__translation=[0.0, 0.0, 0.9],
+        cell__overhead__X_PB__translation=[0.0, 0.0, 0.9],
     )
     found = changes(changed)
     assert "horizon 5, not 10" in found
     assert "scene.meshes [/a, /b], not []" in found
-    assert "camera.X_PB.translation [0.0, 0.0, 0.9], not [0.0, 0.0, 0.8]" in (
-        found
-    )
+    where = "cell.overhead.X_PB.translation"
+    assert f"{where} [0.0, 0.0, 0.9], not [0.0, 0.0, 0.8]" in found
     folder = write_folder(tmp_path / "a", [record("xray", 1)], changed)
     assert collect([folder]).changed == tuple(
         text for text in found if not text.startswith("perception.occupancy")

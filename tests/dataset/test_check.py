@@ -111,7 +111,8 @@ def test_files_that_are_not_as_they_should_be(
         strict=True,
     ):
         assert line.startswith(begin)
-    assert report.num_found == (4 if deep else 5)
+    # Of what can be opened; a bit is found in looking at the images.
+    assert report.num_found == 5
 
 
 @pytest.mark.parametrize("deep", [True, False])

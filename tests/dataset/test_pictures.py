@@ -3,13 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xray_drake.dataset.pictures import Photographer
-from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.scene.cameras import (
+from tests.nominal import BIN
+from xray_drake.cell.cameras import (
     CameraSampling,
     nominal_camera,
     sample_camera,
 )
+from xray_drake.dataset.pictures import Photographer
+from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import TexturedMesh
 from xray_drake.testing.tiny import Observation
@@ -17,7 +18,9 @@ from xray_drake.testing.tiny import Observation
 
 @pytest.fixture(scope="module")
 def photographer(tiny_heap: Heap) -> Photographer:
-    made = Photographer(tiny_heap.target, tiny_heap.objects, nominal_camera())
+    made = Photographer(
+        tiny_heap.target, tiny_heap.objects, nominal_camera(), BIN
+    )
     made.place(tiny_heap)
     return made
 
@@ -87,7 +90,7 @@ def test_an_object_that_is_not_placed_is_not_seen(
     # Seen: the bare floor around the target.
     floor = picture.depth_without_target[192, 256]
     assert floor == pytest.approx(0.8, abs=1e-4)
-    bare = Photographer(tiny_heap.target, (), nominal_camera())
+    bare = Photographer(tiny_heap.target, (), nominal_camera(), BIN)
     with pytest.raises(KeyError, match="not in this scene"):
         bare.place(tiny_heap)
 
@@ -105,7 +108,9 @@ def test_colour_has_the_texture(tiny_heap: Heap) -> None:
         stripes,
     )
     objects = [replace(model, textured=textured), *tiny_heap.objects[1:]]
-    made = Photographer(tiny_heap.target, objects, nominal_camera(), color=True)
+    made = Photographer(
+        tiny_heap.target, objects, nominal_camera(), BIN, color=True
+    )
     made.place(tiny_heap)
     made.look_from(nominal_camera())
     picture = made.take()

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tests.occupancy.brute_force import Caster
 from tests.occupancy.scenes import make_camera
+from xray_drake.cell.bin import Bin
 from xray_drake.dataset.sample import IMAGES, Sample, problems
 from xray_drake.dataset.virtual import (
     draw_target,
@@ -19,7 +20,6 @@ from xray_drake.dataset.virtual import (
     virtual_target,
 )
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.occupancy.label.config import LabelConfig
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 
 _MakeSample = Callable[..., Sample]
@@ -275,12 +275,14 @@ def _corners(made: Sample) -> np.ndarray:
 def test_size_of_a_box_and_floor_are_as_asked_for(
     make_sample: _MakeSample,
 ) -> None:
-    sample = make_sample(2, cover=0.7, shape=_SHAPE)
+    sample = dataclasses.replace(
+        make_sample(2, cover=0.7, shape=_SHAPE),
+        bin=Bin(length=0.2, width=0.16),
+    )
     size = np.array([0.06, 0.015, 0.005])
-    config = LabelConfig(floor=[-0.1, 0.1, -0.08, 0.08])
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        made = virtual_sample(sample, rng, size=size, config=config)
+        made = virtual_sample(sample, rng, size=size)
         assert made is not None
         assert made.target_name.startswith("virtual_box_60x15x5")
         np.testing.assert_array_equal(made.target_size, size)
@@ -380,9 +382,9 @@ def test_where_there_is_no_place_there_is_no_sample(
     make_sample: _MakeSample,
 ) -> None:
     sample = make_sample(2, cover=0.7, shape=_SHAPE)
-    config = LabelConfig(floor=[-0.005, 0.005, -0.005, 0.005])
+    tiny = dataclasses.replace(sample, bin=Bin(length=0.01, width=0.01))
     rng = np.random.default_rng(0)
-    assert virtual_sample(sample, rng, config=config) is None
+    assert virtual_sample(tiny, rng) is None
     # The camera looks past the bin.
     X_WC = sample.X_WC.copy()
     X_WC[0, 3] += 2.0

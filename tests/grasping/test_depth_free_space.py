@@ -6,13 +6,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.grasping.depth_scenes import block, clutter, see
+from tests.nominal import BIN
 from tests.occupancy.scenes import CAMERAS
 from tests.poses import at, downwards
 from xray_drake.grasping.evidence.approach_shape import ApproachShape
 from xray_drake.grasping.evidence.free_space import FreeSpace
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
 from xray_drake.messages import GraspKind
-from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y, BIN_WALL_HEIGHT
 
 GRIPPER = load_gripper_geometry()
 KINDS = (GraspKind.JAW, GraspKind.SUCTION)
@@ -26,7 +26,7 @@ CAMERA = CAMERAS["tilted"]
 
 
 def space(*meshes, camera=CAMERA):
-    return FreeSpace(see(camera, *meshes)[0], camera, SHAPES)
+    return FreeSpace(see(camera, *meshes)[0], camera, SHAPES, BIN)
 
 
 def poses(rng, count):
@@ -69,10 +69,10 @@ def beside_the_image(camera):
 def bin_faces():
     """The inner faces of the bin, every 5 mm, the floor 3 mm lower: it is no
     obstacle within 2 mm of where it is. (m, 3)."""
-    heights = -0.003, BIN_WALL_HEIGHT
-    corners = np.column_stack([BIN_FLOOR_X, BIN_FLOOR_Y, heights])
+    heights = -0.003, BIN.wall_height
+    corners = np.column_stack([BIN.floor.x, BIN.floor.y, heights])
     box = trimesh.creation.box(bounds=corners).subdivide_to_size(0.005)
-    return box.vertices[box.vertices[:, 2] < BIN_WALL_HEIGHT - 1e-6]
+    return box.vertices[box.vertices[:, 2] < BIN.wall_height - 1e-6]
 
 
 def depth_inside(points_W, X_WG, kind, opening):
@@ -106,7 +106,7 @@ def test_against_brute_force(kind, seed):
     unknown = unknown_points(depth, CAMERA)
     X_WG = poses(rng, 40)
     opening = rng.uniform(0.01, 0.05, len(X_WG))
-    room = FreeSpace(depth, CAMERA, SHAPES).room(kind, X_WG, opening)
+    room = FreeSpace(depth, CAMERA, SHAPES, BIN).room(kind, X_WG, opening)
     free = np.flatnonzero(room >= 0)
     assert 3 < len(free) < 37
     for i in free:
@@ -170,7 +170,9 @@ def test_where_a_jaw_has_room(camera, meshes, p_WG, free):
 def test_a_noisy_floor_is_no_obstacle(z, free):
     rng = np.random.default_rng(0)
     depth = see(NOMINAL)[0] + rng.normal(scale=0.0004, size=NOMINAL.shape)
-    assert has_room(FreeSpace(depth, NOMINAL, SHAPES), (0.02, 0, z)) == free
+    assert (
+        has_room(FreeSpace(depth, NOMINAL, SHAPES, BIN), (0.02, 0, z)) == free
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -182,8 +184,8 @@ def test_what_is_outside_the_image_is_taken_as_full(kind):
     X_WG = np.array([downwards(0, y, 0.02) for y in (0.12, 0.06, -0.06)])
     opening = np.full(len(X_WG), 0.03)
     for seen, free in (
-        (FreeSpace(depth, whole, SHAPES), [True, True, True]),
-        (FreeSpace(depth[top:], part, SHAPES), [False, False, True]),
+        (FreeSpace(depth, whole, SHAPES, BIN), [True, True, True]),
+        (FreeSpace(depth[top:], part, SHAPES, BIN), [False, False, True]),
     ):
         room = seen.room(kind, X_WG, opening)
         np.testing.assert_array_equal(room >= 0, free)

@@ -8,22 +8,22 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from tests.alone import Alone
+from tests.nominal import BIN, CELL, TOTE
 from tests.poses import at, downwards
+from xray_drake.cell.cameras import nominal_camera
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
 from xray_drake.gripper.yumi import add_gripper
 from xray_drake.messages import Grasp, GraspKind, GripperMode, SearchAction
-from xray_drake.scene.cameras import add_camera, nominal_camera
+from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.scene.plant import (
-    BIN_WALL_HEIGHT,
-    add_bin,
+    add_cell,
     add_objects,
     add_plant,
     default_plant_config,
-    inside_tote,
 )
 from xray_drake.scene.shapes import box
 
@@ -82,7 +82,7 @@ class BinCell:
         for name, value in config.items():
             setattr(plant_config, name, value)
         self.plant, self.scene_graph = add_plant(self.builder, plant_config)
-        add_bin(self.plant, with_tote=True)
+        add_cell(self.plant, CELL)
         items = add_objects(self.plant, models)
         for item in items:
             X_WO = at(0.05, 0.02, item.model.extents[2] / 2)
@@ -175,10 +175,10 @@ class TransferCell(BinCell):
 
 def assert_brought_to_the_tote(way):
     """It lies there, and over the walls it was 5 cm clear of them."""
-    assert inside_tote(way[-1])
+    assert TOTE.holds(way[-1])
     over = (way[:, 0] > 0.23) & (way[:, 0] < 0.29)
     assert over.any()
-    assert way[over, 2].min() > BIN_WALL_HEIGHT + 0.05
+    assert way[over, 2].min() > BIN.wall_height + 0.05
 
 
 class ContactCell(TransferCell):

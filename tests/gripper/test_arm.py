@@ -9,13 +9,13 @@ from tests.gripper.cells import (
     make_gripper,
     take,
 )
+from tests.nominal import TOTE
 from tests.poses import at, downwards
 from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg
 from xray_drake.messages import GraspKind
-from xray_drake.scene.plant import TOTE_POSITION
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_paths_keep_the_limits_and_do_not_jump(arm):
 
 def test_it_carries_level_and_round_its_base(arm):
     _, high = arm.along([LOW, higher(LOW)], near=arm.home)
-    place = np.array(TOTE_POSITION[:2])
+    place = np.array(TOTE.position[:2])
     there = arm.over(high, np.array([0, 0, 0.1142]), place, lowest=0.15)
     np.testing.assert_allclose(arm.pose(there)[:2, 3], place, atol=1e-6)
     path = arm.path(high, [Leg(there, 0.8, free=True)], 0.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.gripper.cells import make_gripper, take_brick
+from tests.nominal import TOTE
 from tests.poses import at
 from xray_drake.gripper.actuation.contact import (
     ContactActuation,
@@ -17,7 +18,6 @@ from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.transfer import Phase, Transfer
 from xray_drake.messages import GraspKind, GripperMode, Outcome, SearchAction
-from xray_drake.scene.plant import TOTE_POSITION
 
 PERIOD = 0.01
 CONFIG = ExecutionConfig()
@@ -53,7 +53,7 @@ class Script:
 
     def __init__(self, gripper, config=CONFIG, **script):
         self.gripper = gripper
-        actuation = ContactActuation(gripper, config, period=PERIOD)
+        actuation = ContactActuation(gripper, TOTE, config, period=PERIOD)
         self.transfer = Transfer(actuation)
         self.state = actuation.initial()
         self.time = 0.0
@@ -138,7 +138,7 @@ def test_a_jaw_grasp_from_start_to_end(whole):
     assert whole.time < 15.0
     lowest = at(0, 0, -CONFIG.jaw_overtravel) @ take_brick().grasp.X_WG
     np.testing.assert_allclose(whole.tool(CLOSE), lowest, atol=1e-6)
-    over = whole.tool(Phase.CARRY)[:2, 3] - TOTE_POSITION[:2]
+    over = whole.tool(Phase.CARRY)[:2, 3] - TOTE.position[:2]
     assert np.all(np.abs(over) <= 0.1 + 1e-6)
     down = whole.tool(Phase.LOWER)
     assert down[2, 3] == pytest.approx(0.02 + CONFIG.release_height)

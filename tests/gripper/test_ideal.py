@@ -11,6 +11,7 @@ from tests.gripper.cells import (
     TransferCell,
     assert_brought_to_the_tote,
 )
+from tests.nominal import TOTE
 from tests.ports import ports
 from tests.poses import at, downwards
 from xray_drake.grasping.gripper_geometry import load_gripper_geometry
@@ -27,7 +28,6 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.scene.object_model import object_from_pieces
-from xray_drake.scene.plant import inside_tote
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
 
@@ -277,7 +277,7 @@ def test_it_brings_one_after_the_other_to_places_of_their_own():
     cell.advance(0.3)
     np.testing.assert_allclose(cell.pose(name)[:3, 3], way[-1], atol=1e-3)
     places = [cell.pose(name)[:3, 3] for name in POSES]
-    assert all(map(inside_tote, places))
+    assert all(map(TOTE.holds, places))
     assert np.linalg.norm(places[0] - places[1]) > 0.05
 
 
@@ -305,5 +305,5 @@ def test_it_does_not_wait_for_ever_nor_follow(X_WO, timeout, height):
     way = cell.run(take("brick"), limit=4.0)
     assert cell.height(TARGET) < height
     assert cell.status.outcome is Outcome.LIFTED
-    assert inside_tote(way[-1])
+    assert TOTE.holds(way[-1])
     assert way[:, 2].min() > 0.0

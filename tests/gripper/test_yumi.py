@@ -7,6 +7,7 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 
 from tests.gripper.cells import STEP, DrivenCell, block
+from tests.nominal import CELL
 from tests.poses import downwards
 from xray_drake.choices import CARRIERS
 from xray_drake.grasping.gripper_geometry import (
@@ -17,7 +18,6 @@ from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.carriers.paths import Leg
 from xray_drake.gripper.grip_surfaces import GRIP, PAD
-from xray_drake.gripper.transfer import HOME
 from xray_drake.scene.object_model import object_from_pieces
 from xray_drake.scene.shapes import box
 
@@ -174,7 +174,7 @@ def test_frames_are_those_of_planning_and_it_waits_at_home(alone):
     np.testing.assert_allclose(gripper.X_BJ, geometry.X_BJ, atol=1e-12)
     np.testing.assert_allclose(gripper.X_BC, geometry.X_BC, atol=1e-12)
     X_WB = carrier.pose(carrier.home)
-    np.testing.assert_allclose(X_WB @ gripper.X_BJ, HOME, atol=1e-9)
+    np.testing.assert_allclose(X_WB @ gripper.X_BJ, CELL.X_WH, atol=1e-9)
     context = alone.plant.CreateDefaultContext()
     stands = gripper.base.EvalPoseInWorld(context).GetAsMatrix4()
     np.testing.assert_allclose(stands, X_WB, atol=1e-9)

@@ -13,6 +13,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial import ConvexHull
 
+from tests.nominal import BIN
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.geometric.config import GeometricConfig
 
@@ -91,7 +92,7 @@ class _Body:
 
     def _within(self, points: np.ndarray) -> np.ndarray:
         """(..., 3) points to (...) bool: above the floor, or nearly."""
-        x_low, x_high, y_low, y_high = self.config.floor
+        (x_low, x_high), (y_low, y_high) = BIN.floor.x, BIN.floor.y
         slack = self.config.floor_tolerance
         low = np.array([x_low, y_low]) - slack
         high = np.array([x_high, y_high]) + slack

@@ -7,6 +7,7 @@ camera and the numbers.
 
 import numpy as np
 
+from tests.nominal import BIN
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.label.config import LabelConfig
 
@@ -25,7 +26,7 @@ def brute_force_label(
     T, S = target_depth.astype(float), scene_depth.astype(float)
     floor = camera.plane_depth(0.0)
     ground = camera.unproject(floor)
-    x_low, x_high, y_low, y_high = config.floor
+    (x_low, x_high), (y_low, y_high) = BIN.floor.x, BIN.floor.y
     slack = config.floor_tolerance
     on_floor = (ground[..., 0] >= x_low - slack) & (
         ground[..., 0] <= x_high + slack

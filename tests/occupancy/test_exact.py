@@ -20,6 +20,7 @@ from tests.occupancy.inferences import (
 from tests.occupancy.scenes import CAMERAS, cover, lying, make_camera, occluders
 from xray_drake.choices import TARGET_NAMES
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.occupancy.exact import ExactInference
 from xray_drake.occupancy.geometric.config import GeometricConfig
@@ -29,7 +30,7 @@ from xray_drake.scene.targets import target_model
 
 NOTHING = np.zeros((384, 512), dtype=bool)
 # Fewer orientations than usual, for the sake of the brute force.
-COARSE = GeometricConfig(rotations=16, seen_step=0.012)
+COARSE = GeometricConfig("flat", rotations=16, seen_step=0.012)
 
 
 _BASE = [[-0.025, -0.02, 0.0], [0.035, -0.02, 0.0], [-0.01, 0.03, 0.0]]
@@ -199,8 +200,8 @@ def test_pixels_without_a_reading_hide_nothing(name: str) -> None:
 
 
 def test_candidates_keep_within_the_bin() -> None:
-    config = GeometricConfig(floor=[-0.1, 0.1, -0.05, 0.05])
-    inference = GeometricInference(target_model("box_2to1"), config)
+    floor = Floor((-0.1, 0.1), (-0.05, 0.05))
+    inference = GeometricInference(target_model("box_2to1"), floor=floor)
     camera = CAMERAS["tilted"]
     depth = camera.plane_depth(0.05).astype(np.float32)
     support = inference.infer(depth, NOTHING, camera).support()
@@ -260,8 +261,8 @@ def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
         scene.insert(0, lying(target.visual, 0.17, 0.02, 0.4))
     supports = []
     for angle, floor in (
-        (0.0, [-0.25, 0.25, -0.20, 0.20]),
-        (np.pi / 2, [-0.20, 0.20, -0.25, 0.25]),
+        (0.0, Floor((-0.25, 0.25), (-0.20, 0.20))),
+        (np.pi / 2, Floor((-0.20, 0.20), (-0.25, 0.25))),
     ):
         turn = trimesh.transformations.rotation_matrix(angle, [0, 0, 1])
         view = replace(camera, X_WC=turn @ camera.X_WC)
@@ -269,7 +270,7 @@ def test_turning_scene_bin_and_camera_turns_nothing_in_the_image(
         depth, label = render(view, turned)
         mask = (label == 0) & seen
         assert mask.any() == seen
-        inference = GeometricInference(target, GeometricConfig(floor=floor))
+        inference = GeometricInference(target, floor=floor)
         supports.append(inference.infer(depth, mask, view).support())
     assert iou(*supports) >= 0.98
 
@@ -333,8 +334,16 @@ def test_wrong_input_is_named(
         (GeometricInference, {"rotations": 0}, "rotations is 0: it must"),
         (GeometricInference, {"cell": 0}, "cell is 0: it must"),
         (resting_inference, {"rotations": 0}, "rotations is 0: it must"),
-        (GeometricInference, {"poses": "up"}, "'up': .* of flat, resting"),
-        (label_inference, {"poses": "resting"}, "'resting': .* one of flat$"),
+        (
+            GeometricInference,
+            {"poses": "up"},
+            "'up': .* of auto, flat, resting",
+        ),
+        (
+            label_inference,
+            {"poses": "resting"},
+            "takes flat poses, .* are resting$",
+        ),
     ],
 )
 def test_wrong_numbers_are_named(

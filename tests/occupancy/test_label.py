@@ -12,6 +12,7 @@ from tests.occupancy.label_scenes import (
 )
 from tests.occupancy.scenes import CAMERAS
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.instances import instance_image
 from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
 
@@ -34,8 +35,8 @@ def test_candidates_are_64_by_48_by_16() -> None:
     u, v = 290, 176
     target[v, u] = 0.795
     p_WT = NOMINAL.unproject(FLOOR)[v, u]
-    config = LabelConfig(floor=[-1.0, 1.0, -1.0, 1.0])
-    label = occupancy_label(target, CLUTTER, NOMINAL, p_WT, config=config)
+    floor = Floor((-1.0, 1.0), (-1.0, 1.0))
+    label = occupancy_label(target, CLUTTER, NOMINAL, p_WT, floor=floor)
     assert label.accepted.tolist() == 16 * [64 * 48]
     expected = np.zeros(NOMINAL.shape, np.float32)
     expected[v % 8 :: 8, u % 8 :: 8] = 1

@@ -13,6 +13,7 @@ import pytest
 from pydrake.common.schema import Rotation
 
 from tests.masks import iou
+from tests.nominal import BIN
 from tests.occupancy.brute_force_label import brute_force_label
 from tests.occupancy.label_scenes import (
     draw_sample,
@@ -20,10 +21,10 @@ from tests.occupancy.label_scenes import (
     render_target,
 )
 from tests.occupancy.scenes import CAMERAS, make_camera
+from xray_drake.cell.cameras import nominal_camera
 from xray_drake.dataset.pictures import Photographer
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.label.ground_truth import LabelConfig, occupancy_label
-from xray_drake.scene.cameras import nominal_camera
 from xray_drake.scene.heap import Heap
 
 SAMPLES = int(os.environ.get("XRAY_LABEL_SAMPLES", "12"))
@@ -135,10 +136,8 @@ def test_agrees_with_brute_force_on_rendered_scenes(
         rpy = Rotation.Rpy(deg=[-174.0, 7.0, 6.0])
         config.X_PB.rotation = Rotation(value=rpy)
     pictures = []
-    for scene, with_bin in ((alone, False), (heap, True)):
-        photographer = Photographer(
-            scene.target, scene.objects, config, bin_visible=with_bin
-        )
+    for scene, bin_ in ((alone, None), (heap, BIN)):
+        photographer = Photographer(scene.target, scene.objects, config, bin_)
         photographer.place(scene)
         pictures.append(photographer.take())
     inputs = (

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.nominal import BIN
 from tests.occupancy.scenes import make_camera
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import observed_heights
@@ -90,7 +91,9 @@ def test_each_pixel_is_its_own_or_the_mean_of_sixteen(
     depth[rng.random(camera.shape) < 0.2] = 0
     depth[(depth < 0) | (depth > 3)] = 0
     mask = rng.random(camera.shape) < 0.5
-    fine, coarse = geometry_input(depth.astype(np.float32), mask, camera, 0.013)
+    fine, coarse = geometry_input(
+        depth.astype(np.float32), mask, camera, 0.013, BIN.floor
+    )
     assert fine.shape == (2, 48, 64)
     assert coarse.shape == (3, 12, 16)
     assert fine.dtype == coarse.dtype == np.float32
@@ -116,7 +119,7 @@ def test_the_floor_is_where_rays_meet_it_within_the_bin(
     camera: PinholeCamera,
 ) -> None:
     depth, mask = _noise(camera), _blank(camera)
-    floor = geometry_input(depth, mask, camera, 0.005).coarse[_FLOOR]
+    floor = geometry_input(depth, mask, camera, 0.005, BIN.floor).coarse[_FLOOR]
     R, C = camera.X_WC[:3, :3], camera.X_WC[:3, 3]
     expected = np.zeros((12, 16))
     for row in range(12):

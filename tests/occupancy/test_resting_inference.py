@@ -236,7 +236,8 @@ def test_what_lies_fits_under_what_is_too_low_for_it_upright() -> None:
     amodal = amodal_of(mesh, camera)
     found = inference.infer(depth, nothing, camera).support()
     assert np.count_nonzero(found & amodal) >= 0.99 * amodal.sum()
-    flat = GeometricInference(target).infer(depth, nothing, camera).support()
+    flat_only = GeometricInference(target, GeometricConfig("flat"))
+    flat = flat_only.infer(depth, nothing, camera).support()
     assert not flat.any()
 
 

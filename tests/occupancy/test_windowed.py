@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import nn
 
+from tests.nominal import BIN
 from tests.occupancy.networks import OPTIONS, card, randomized
 from tests.occupancy.scenes import make_camera
 from xray_drake.occupancy.learned.build import build_network
@@ -43,7 +44,9 @@ def scene(*, seen: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def asked(part: nn.Module, mask: np.ndarray) -> tuple[torch.Tensor, ...]:
-    images = geometry_input(scene(seen=True)[0], mask, CAMERA, SIZE[2])
+    images = geometry_input(
+        scene(seen=True)[0], mask, CAMERA, SIZE[2], BIN.floor
+    )
     told = size_features(SIZE, mask, CAMERA)
     return tuple(torch.from_numpy(each)[None] for each in (*images, told))
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tests.nominal import BIN
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.messages import (
     Grasp,
@@ -27,7 +28,7 @@ TARGET = "target"
 TARGET_SIZE = np.array([0.06, 0.03, 0.005])
 """10 × 5 pixels."""
 
-FLOOR = (-0.25, 0.25, -0.20, 0.20)
+FLOOR = BIN.floor
 """Inside of the bin floor, m."""
 
 

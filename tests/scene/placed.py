@@ -10,11 +10,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 
+from tests.nominal import CELL
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
-    add_bin,
+    add_cell,
     add_object,
     add_plant,
     default_plant_config,
@@ -52,7 +53,7 @@ class Placed:
         self.plant, self.scene_graph = add_plant(
             builder, default_plant_config()
         )
-        add_bin(self.plant, with_tote=True)
+        add_cell(self.plant, CELL)
         self.items = {
             model.name: add_object(self.plant, model, **options)
             for model in models

@@ -8,20 +8,15 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 
 from tests.scene.placed import Placed
-from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.scene.cameras import (
+from xray_drake.cell.cameras import (
     CameraSampling,
-    add_camera,
-    add_renderer,
     nominal_camera,
     pinhole_camera,
     sample_camera,
 )
-from xray_drake.scene.plant import (
-    add_object,
-    add_plant,
-    default_plant_config,
-)
+from xray_drake.geometry.silhouette import project_mesh_mask
+from xray_drake.scene.cameras import add_camera, add_renderer
+from xray_drake.scene.plant import add_object, add_plant, default_plant_config
 from xray_drake.scene.targets import target_model
 
 LID = target_model("lid")
@@ -209,7 +204,8 @@ def test_without_sampling_the_nominal_camera_is_used() -> None:
 
 _RENDER_THEN_IMPORT = """
 from pydrake.systems.framework import DiagramBuilder
-from xray_drake.scene.cameras import add_camera, nominal_camera
+from xray_drake.scene.cameras import add_camera
+from xray_drake.cell.cameras import nominal_camera
 from xray_drake.scene.plant import add_plant, default_plant_config
 builder = DiagramBuilder()
 plant, scene_graph = add_plant(builder, default_plant_config())

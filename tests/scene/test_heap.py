@@ -8,17 +8,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.nominal import BIN
 from tests.scene.placed import Placed
 from xray_drake.geometry.resting import resting_poses
-from xray_drake.scene import heap as module
+from xray_drake.scene import drop as module
 from xray_drake.scene.contact import ContactConfig
-from xray_drake.scene.heap import Heap, HeapConfig, HeapError, drop_heap
+from xray_drake.scene.drop import drop_heap
+from xray_drake.scene.heap import (
+    Heap,
+    HeapConfig,
+    HeapError,
+)
 from xray_drake.scene.library import make_object
 from xray_drake.scene.object_model import ObjectModel
-from xray_drake.scene.plant import (
-    PlantObject,
-    inside_bin,
-)
+from xray_drake.scene.plant import PlantObject
 from xray_drake.scene.rest import box_corners
 from xray_drake.scene.targets import target_model
 from xray_drake.seeding import stream
@@ -71,7 +74,7 @@ def test_a_dropped_heap_rests_in_the_bin_and_not_under_its_floor(
     assert set(heap.poses) == {model.name for model in heap.models}
     for model in heap.models:
         X_WO = heap.poses[model.name]
-        assert inside_bin(X_WO[:3, 3])
+        assert BIN.is_over(X_WO[:3, 3])
         assert -2e-3 < lowest(model, X_WO) < 0.1  # edges sink in a little
         np.testing.assert_allclose(
             X_WO[:3, :3] @ X_WO[:3, :3].T, np.eye(3), atol=1e-9
@@ -105,7 +108,7 @@ def test_what_falls_beside_the_bin_is_removed() -> None:
     assert heap.num_dropped == 3
     assert heap.objects
     assert set(heap.poses) == {model.name for model in heap.models}
-    assert all(inside_bin(X_WO[:3, 3]) for X_WO in heap.poses.values())
+    assert all(BIN.is_over(X_WO[:3, 3]) for X_WO in heap.poses.values())
 
 
 def test_a_heap_without_its_target_is_drawn_again(
@@ -114,7 +117,7 @@ def test_a_heap_without_its_target_is_drawn_again(
     with caplog.at_level(logging.WARNING):
         heap = first_wide_heap(lambda heap: "target left" in caplog.text)
     assert heap.attempts > 1
-    assert inside_bin(heap.poses["box_2to1"][:3, 3])
+    assert BIN.is_over(heap.poses["box_2to1"][:3, 3])
     assert lowest(TARGET, heap.poses["box_2to1"]) < 0.1
     assert len(heap.failures) == heap.attempts - 1
     for attempt, failure in enumerate(heap.failures, start=1):
@@ -168,7 +171,7 @@ def test_a_growing_heap_is_remembered() -> None:
     for heap in grown.growth:
         assert heap.models == (TARGET, *OBJECTS[: heap.num_dropped])
         assert set(heap.poses) == {model.name for model in heap.models}
-        assert all(inside_bin(X_WO[:3, 3]) for X_WO in heap.poses.values())
+        assert all(BIN.is_over(X_WO[:3, 3]) for X_WO in heap.poses.values())
         assert (heap.seed, heap.attempts, heap.growth) == (10_000, 1, ())
     for before, after in pairwise(heaps):
         for name in before.poses:
@@ -247,7 +250,7 @@ def test_however_it_is_dropped_a_heap_rests_when_all_are_awake(
     assert max(motion(heap, 1.0).values()) < 1e-3
     for model in heap.models:
         X_WO = heap.poses[model.name]
-        assert inside_bin(X_WO[:3, 3])
+        assert BIN.is_over(X_WO[:3, 3])
         assert -3e-3 < lowest(model, X_WO) < 0.1
     if arrangement == "dump":  # all fell at once
         assert heap.settle_time < len(MANY) * 0.28 + 4.0

@@ -9,10 +9,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.nominal import BIN
 from xray_drake.scene.meshes import import_meshes, load_meshes
 from xray_drake.scene.meshes.closing import closed_solid
 from xray_drake.scene.meshes.prepare import LARGEST
-from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y
 
 
 def box(*size, at=(0, 0, 0), inside_out=False):
@@ -287,7 +287,7 @@ def test_repairs_reach_the_log_and_the_summary(tmp_path, caplog):
 
 
 def test_what_is_as_long_as_the_floor_is_welcome(tmp_path):
-    assert max(np.ptp(BIN_FLOOR_X), np.ptp(BIN_FLOOR_Y)) == LARGEST
+    assert max(np.ptp(BIN.floor.x), np.ptp(BIN.floor.y)) == LARGEST
     box(0.03, 0.02, LARGEST).export(tmp_path / "rod.stl")
     (model,) = load_meshes(tmp_path)
     assert model.extents.max() == pytest.approx(LARGEST)

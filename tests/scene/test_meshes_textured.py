@@ -4,7 +4,7 @@ import trimesh
 from PIL import Image
 
 from tests.scene.placed import Placed
-from xray_drake.scene.cameras import nominal_camera
+from xray_drake.cell.cameras import nominal_camera
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.meshes.textures import (
     is_red,

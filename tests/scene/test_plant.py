@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from tests.nominal import BIN, TOTE
 from tests.scene.placed import Placed
 from xray_drake.scene.contact import ContactConfig, hydroelastic_modulus
 from xray_drake.scene.library import make_object
@@ -16,11 +17,9 @@ from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.plant import (
     add_bin,
     add_plant,
+    add_tote,
     default_plant_config,
     in_memory_mesh,
-    inside_bin,
-    inside_tote,
-    over_tote,
 )
 from xray_drake.scene.shapes import box
 from xray_drake.scene.targets import target_model
@@ -130,7 +129,9 @@ def test_bin_and_tote_stand_still_and_are_not_the_world(
     with_tote: bool,
 ) -> None:
     plant, _ = add_plant(DiagramBuilder(), default_plant_config())
-    add_bin(plant, with_tote=with_tote)
+    add_bin(plant, BIN)
+    if with_tote:
+        add_tote(plant, TOTE)
     plant.Finalize()
     assert plant.HasBodyNamed("tote") == with_tote
     assert not plant.GetCollisionGeometriesForBody(plant.world_body())
@@ -155,22 +156,22 @@ def test_body_and_joint_of_an_object_belong_together() -> None:
 @pytest.mark.parametrize(
     ("where", "inside", "p_W"),
     [
-        (inside_bin, True, (0.0, 0.0, 0.0)),
-        (inside_bin, True, (0.249, -0.199, 0.3)),
-        (inside_bin, False, (0.251, 0.0, 0.1)),
-        (inside_bin, False, (-0.251, 0.0, 0.1)),
-        (inside_bin, False, (0.0, 0.201, 0.1)),
-        (inside_bin, False, (0.0, -0.201, 0.1)),
-        (inside_bin, False, (0.0, 0.0, -0.02)),
-        (inside_bin, False, (np.nan, 0.0, 0.0)),
+        (BIN.is_over, True, (0.0, 0.0, 0.0)),
+        (BIN.is_over, True, (0.249, -0.199, 0.3)),
+        (BIN.is_over, False, (0.251, 0.0, 0.1)),
+        (BIN.is_over, False, (-0.251, 0.0, 0.1)),
+        (BIN.is_over, False, (0.0, 0.201, 0.1)),
+        (BIN.is_over, False, (0.0, -0.201, 0.1)),
+        (BIN.is_over, False, (0.0, 0.0, -0.02)),
+        (BIN.is_over, False, (np.nan, 0.0, 0.0)),
         *[
             (where, inside, p_W)
-            for where in (inside_tote, over_tote)
+            for where, on_top in ((TOTE.holds, False), (TOTE.is_under, True))
             for inside, p_W in (
                 (True, (0.62, 0.0, 0.0)),
                 (True, (0.62 + 0.179, -0.179, 0.1)),
                 # On a pile, or held above it.
-                (where is over_tote, (0.62, 0.0, 0.13)),
+                (on_top, (0.62, 0.0, 0.13)),
                 (False, (0.62 - 0.181, 0.0, 0.05)),
                 (False, (0.62, 0.181, 0.05)),
                 (False, (0.62, 0.0, -40.0)),

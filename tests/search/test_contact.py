@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from tests.nominal import BIN, TOTE
 from tests.search.watching import TARGET, Sleepers, Watcher
 from xray_drake.messages import GripperMode, Outcome
 from xray_drake.scene.heap import Heap
-from xray_drake.scene.plant import inside_bin, inside_tote
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import judge_outcome
 from xray_drake.search.rollout import run_search
@@ -44,11 +44,11 @@ def test_the_target_is_brought_to_the_tote(
     last = record.actions[-1]
     assert (last.object, last.outcome) == (TARGET, Outcome.LIFTED)
     assert last.lifted == (TARGET,)
-    assert inside_tote(watcher.poses[-1][TARGET][:3, 3])
+    assert TOTE.holds(watcher.poses[-1][TARGET][:3, 3])
     taken = {name for action in record.actions for name in action.lifted}
     assert "book" in taken
     for name, X_WO in watcher.poses[-1].items():
-        place = inside_tote if name in taken else inside_bin
+        place = TOTE.holds if name in taken else BIN.is_over
         assert place(X_WO[:3, 3]), name
     assert all(3.0 < action.duration <= 15.0 for action in record.actions)
 
@@ -117,7 +117,7 @@ def test_what_does_not_hold_is_still_there(
     assert (action.object, action.lifted) == ("book", ())
     assert (action.outcome, action.reason) == (outcome, reason)
     places = {n: X_WO[:3, 3] for n, X_WO in watcher.poses[-1].items()}
-    assert inside_bin(places["book"])
+    assert BIN.is_over(places["book"])
     if outcome is Outcome.FAILED:
         for name, X_WO in tiny_heap.poses.items():
             np.testing.assert_allclose(places[name], X_WO[:3, 3], atol=2e-3)

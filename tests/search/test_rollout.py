@@ -7,6 +7,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context
 
+from tests.nominal import BIN, TOTE
 from tests.search.watching import (
     TARGET,
     Sleepers,
@@ -16,7 +17,6 @@ from tests.search.watching import (
 )
 from xray_drake.messages import Outcome
 from xray_drake.scene.heap import Heap
-from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_tote
 from xray_drake.search import rollout
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.monitor import attach_monitor
@@ -53,7 +53,7 @@ def test_the_target_is_dug_out(
     X_WT = watcher.poses[-1][TARGET]
     vertices = tiny_heap.target.visual.vertices
     lowest = (vertices @ X_WT[2, :3]).min() + X_WT[2, 3]
-    assert lowest >= BIN_WALL_HEIGHT + 0.05
+    assert lowest >= BIN.wall_height + 0.05
     assert np.hypot(*X_WT[:2, 3]) < 0.2  # above the bin still
 
 
@@ -112,7 +112,7 @@ def test_the_heap_sleeps_between_the_actions(
         )
     for action in found.actions[:-1]:
         if action.outcome is Outcome.LIFTED:
-            assert inside_tote(places[action.object])
+            assert TOTE.holds(places[action.object])
 
 
 def test_who_sleeps_during_an_action(

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from xray_drake.scene.heap import Heap, HeapError, drop_heap
+from xray_drake.scene.drop import drop_heap
+from xray_drake.scene.heap import (
+    Heap,
+    HeapError,
+)
 from xray_drake.scene.library import object_names, split_of
 from xray_drake.station import objects as module
+from xray_drake.station.config import RandomNumber
 from xray_drake.station.objects import (
     choose_objects,
     imported_objects,
@@ -17,7 +22,6 @@ from xray_drake.station.objects import (
     truncated_poisson,
 )
 from xray_drake.station.scenario import (
-    RandomNumber,
     Scenario,
     ScenarioError,
     load_scenario,

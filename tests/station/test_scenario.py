@@ -12,11 +12,11 @@ from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import Rgba
 from pydrake.systems.sensors import CameraConfig
 
+from xray_drake.cell.cameras import pinhole_camera, sample_camera
+from xray_drake.cell.drake_rules import DRAKE_RULES
 from xray_drake.configuration import fields_of, is_struct, rules_of
-from xray_drake.ranges import Choice, Interval, Numbers, Rectangle
-from xray_drake.scene.cameras import pinhole_camera, sample_camera
+from xray_drake.ranges import Choice, Interval, Numbers
 from xray_drake.station import scenario as scenario_module
-from xray_drake.station.drake_rules import DRAKE_RULES
 from xray_drake.station.scenario import (
     Scenario,
     ScenarioError,
@@ -131,7 +131,7 @@ def test_settings_deep_inside() -> None:
 
 COMPLAINTS = r"""
 horizn: 3 | horizn | did you mean horizon?
-camera: {widht: 320} | camera.widht | mean camera.width?
+camera: {widht: 320} | cell.overhead.widht | mean cell.overhead.width?
 seed: 1\nhorizon: 2\nseed: 2 | stands twice
 { | not YAML
 - a\n- b | top level | list
@@ -160,7 +160,7 @@ horizon: 0 | horizon is 0: it must be from 1
 seed: -1 | seed is -1: it must be from 0
 perception: {occupancy: geometric_label, geometric: {rotations: 24}}
     | perception.geometric.rotations is 24 | multiple
-camera: {name: ''} | camera.name
+camera: {name: ''} | cell.overhead.name
 camera: {renderer_class: RenderEngineGl} | RenderEngineGl
 policy: xray | policy
 scene: {split: all} | scene.split is 'all': choose one of train
@@ -174,7 +174,7 @@ scene: {mesh_scale: 0} | scene.mesh_scale is 0
 scene: {most_visible: 90} | scene.most_visible is 90: it must be from 0 to 1
 scene: {packaged: true, packaged_share: -0.1}
     | scene.packaged_share is -0.1: it must be from 0 to 1
-scene: {packaged_share: 0.2} | scene.packaged_share needs scene.packaged: true
+scene: {packaged_share: 0.2} | scene.packaged_share needs packaged: true
 gripper: {quasi_static: {approach_time: 0}} | quasi_static.approach_time is 0
 gripper: {contact: {touch_speed: 0}} | gripper.contact.touch_speed is 0
 perception: {depth_segmenter: {arm: 0}} | depth_segmenter.arm is 0
@@ -188,18 +188,18 @@ simulator_config: {integration_scheme: foo}
 plant_config: {penetration_allowance: 0} | penetration_allowance is
 plant_config: {contact_surface_representation: x} | choose one of t
 plant_config: {time_step: 5} | plant_config.time_step is 5
-camera: {z_far: .nan} | camera.z_far is nan
-camera: {z_near: 4} | camera.z_near is 4.0: it must be at most 3.0
-camera: {focal: {x: -1}} | camera.focal.x is -1
-camera: {focal: !FovDegrees {x: 200}} | camera.focal.x is 200
-camera: {focal: !Fov {x: 50}} | camera.focal is tagged !Fov
-camera: {width: 512.5} | camera.width is 512.5: it must be a whole
-camera: {center_x: left} | camera.center_x is 'left'
+camera: {z_far: .nan} | cell.overhead.z_far is nan
+camera: {z_near: 4} | cell.overhead.z_near is 4.0: it must be at most 3.0
+camera: {focal: {x: -1}} | cell.overhead.focal.x is -1
+camera: {focal: !FovDegrees {x: 200}} | cell.overhead.focal.x is 200
+camera: {focal: !Fov {x: 50}} | cell.overhead.focal is tagged !Fov
+camera: {width: 512.5} | cell.overhead.width is 512.5: it must be a whole
+camera: {center_x: left} | cell.overhead.center_x is 'left'
 camera: {background: {rgba: [2, 0, 0, 1]}} | background.rgba is [2
 camera: {X_PB: {translation: [0, a, 1]}} | X_PB.translation[1] is
-camera: {X_PB: {translation: [0, 1]}} | camera.X_PB.translation
-camera: {output_delay: 0.1} | camera.output_delay is 0.1
-camera: {X_PB: {rotation: !Rpy {deg: [0, 0, 0]}}} | camera: X_PB: th
+camera: {X_PB: {translation: [0, 1]}} | cell.overhead.X_PB.translation
+camera: {output_delay: 0.1} | cell.overhead.output_delay is 0.1
+camera: {X_PB: {rotation: !Rpy {deg: [0, 0, 0]}}} | cell.overhead: X_PB: th
 camera: {X_PB: {translation: [0, 0, -1]}} | does not look at the bin
 camera: {X_PB: {translation: [0, 0, 4]}} | out of the sensor's range
 camera: {X_BD: {translation: [0, 0.1, 0]}} | X_BD is not X_BC
@@ -266,19 +266,6 @@ def test_a_scenario_made_in_python_is_checked_too() -> None:
         check_scenario(replace(Scenario(), horizon=0))
 
 
-def test_a_network_is_the_default_and_needs_images_of_its_sizes() -> None:
-    scenario = load_scenario("demo")
-    assert scenario.perception.occupancy == "learned"
-    for side, bad, good in (("height", 370, 384), ("width", 500, 500)):
-        setattr(scenario.camera, side, bad)
-        with pytest.raises(ScenarioError, match=r"multiples of 32.*geom"):
-            check_scenario(scenario)
-        setattr(scenario.camera, side, good)
-    check_scenario(scenario, searched=False)  # heaps can be dropped
-    scenario.perception.occupancy = "geometric"
-    check_scenario(scenario)
-
-
 def test_a_misspelt_field_is_an_error() -> None:
     scenario = load_scenario("demo")
     with pytest.raises(AttributeError, match="nmae"):
@@ -298,8 +285,6 @@ def _another(value: object, rule: object) -> object:
         return 0.3 * rule.low + 0.7 * rule.high
     if isinstance(rule, Numbers):
         return [_another(None, rule.each)] * rule.lengths[-1]
-    if isinstance(rule, Rectangle):
-        return [-0.5, 0.1, -0.25, 0.2]
     if isinstance(value, list):
         return ODD
     return not value if isinstance(value, bool) else f"{value} # no comment"

@@ -36,6 +36,7 @@ def test_a_dataset_of_many_sizes_does_not_keep_a_network_for_each(
                 depth=None,
                 target_modal=None,
                 camera=None,
+                floor=None,
             )
         )
         assert answer == "answer"

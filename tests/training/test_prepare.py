@@ -186,7 +186,11 @@ def test_items_are_the_samples_and_virtual_ones(
         assert items.targets[row] == sample.target_name
         item, size = items.item(row), sample.target_size
         inputs = geometry_input(
-            sample.depth, sample.target_modal, sample.camera, float(size[2])
+            sample.depth,
+            sample.target_modal,
+            sample.camera,
+            float(size[2]),
+            sample.floor,
         )
         assert inputs.fine[0].any()
         for found, expected, levels in (

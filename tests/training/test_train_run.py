@@ -17,7 +17,9 @@ from tests.dataset.conftest import synthetic_sample
 from tests.dataset.whole import tiny_dataset
 from tests.training.making import SMALL, prepare_here, train_here
 from xray_drake.cli.train import train as train_command
-from xray_drake.configuration import tree_of, write_tree
+from xray_drake.configuration import (
+    tree_of,
+)
 from xray_drake.dataset.manifest import read_manifest
 from xray_drake.dataset.reader import is_held_out
 from xray_drake.files import InUseError, sole_writer
@@ -34,6 +36,7 @@ from xray_drake.training.module import CompactTraining
 from xray_drake.training.prepare import PrepareConfig
 from xray_drake.training.run import CARD, CHECKPOINT, WEIGHTS
 from xray_drake.training.windows import WindowedData, WindowedTraining
+from xray_drake.trees import write_tree
 
 pytestmark = [
     pytest.mark.filterwarnings(f"ignore:{text}")

@@ -11,9 +11,9 @@ from xray_drake.benchmark.paper import changes
 from xray_drake.benchmark.variants import Variant
 from xray_drake.choices import WITHOUT_NETWORK
 from xray_drake.files import LinesError, read_json_lines
+from xray_drake.scene.targets import is_mesh
+from xray_drake.station.config import PerceptionConfig, PolicyConfig
 from xray_drake.station.scenario import (
-    PerceptionConfig,
-    PolicyConfig,
     Scenario,
     parse_scenario,
     record_scenario,
@@ -225,10 +225,13 @@ def collect(folders: Sequence[Path]) -> Collection:
 
 def _heaps_alone(scenario: Scenario) -> str:
     """Returns what all variants share, on heaps of any target."""
+    scene = scenario.scene
+    if not is_mesh(scene.target):
+        scene = replace(scene, target=Scenario().scene.target)
     return shared_scenario(
         replace(
             scenario,
-            scene=replace(scenario.scene, target=Scenario().scene.target),
+            scene=scene,
             policy=PolicyConfig(),
             perception=PerceptionConfig(),
         )
@@ -239,12 +242,8 @@ def _settings(scenario: Scenario, variant: Variant) -> str:
     """Returns the settings of policy and perception that a variant uses."""
     defaults, perception = Scenario(), scenario.perception
     if variant.occupancy not in WITHOUT_NETWORK:
-        # Memory and networks are told the floor.
         perception = replace(
-            perception,
-            geometric=replace(
-                defaults.perception.geometric, floor=perception.geometric.floor
-            ),
+            perception, geometric=defaults.perception.geometric
         )
     if variant.occupancy in ("", *WITHOUT_NETWORK):
         perception = replace(

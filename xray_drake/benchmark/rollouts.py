@@ -33,6 +33,7 @@ from xray_drake.provenance import (
     check_resumable,
     record_run,
 )
+from xray_drake.station.objects import name_of_target
 from xray_drake.station.provenance import scenario_provenance
 from xray_drake.station.scenario import (
     Scenario,
@@ -147,7 +148,7 @@ def run_rollouts(
         records = begun(folder, scenario, variants, mix=mix)
         remove_leftovers(folder)
         write_whole_file(folder / SCENARIO, shared_scenario(scenario).encode())
-        text, target = record_scenario(scenario), scenario.scene.target
+        text, target = record_scenario(scenario), name_of_target(scenario)
         run = Run(
             "benchmark",
             _provenance(scenario, variants),
@@ -254,7 +255,7 @@ def _failure(scenario: Scenario, variant: Variant, reason: str) -> Record:
         "target_first": variant.target_first,
         "occupancy": variant.occupancy,
         "seed": run.seed,
-        "target": run.scene.target,
+        "target": name_of_target(run),
         "end": "error",
         "reason": reason,
         "scenario": record_scenario(run),

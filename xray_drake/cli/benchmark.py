@@ -22,7 +22,11 @@ from xray_drake.choices import current_occupancy
 from xray_drake.cli.configure import configure
 from xray_drake.cli.options import names_in
 from xray_drake.cli.progress import counting_bar
-from xray_drake.station.objects import imported_objects
+from xray_drake.station.objects import (
+    check_heaps,
+    imported_objects,
+    name_of_target,
+)
 from xray_drake.station.scenario import Scenario
 
 
@@ -64,7 +68,8 @@ def run(
     configured, compared = _plan(
         scenario, overrides, names_in(policies), names_in(occupancy), seeds[-1]
     )
-    target = configured.scene.target
+    check_heaps(configured)
+    target = name_of_target(configured)
     wanted = {(v, (target, seed)) for v in compared for seed in seeds}
     if not resume and read_rollouts(out):
         raise ValueError(
@@ -115,7 +120,8 @@ def _plan(
     seed: int,
 ) -> tuple[Scenario, tuple[Variant, ...]]:
     """Checks every policy with every inference before the first heap."""
-    own = configure(name, {})
+    cell = {k: v for k, v in overrides.items() if k.startswith("cell")}
+    own = configure(name, cell)
     occupancies = [
         current_occupancy(each)
         for each in occupancies or [own.perception.occupancy]

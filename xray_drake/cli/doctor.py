@@ -147,12 +147,14 @@ def _render() -> str:
 
     from pydrake.systems.framework import DiagramBuilder
 
-    from xray_drake.scene.cameras import add_camera, nominal_camera
+    from xray_drake.cell.bin import Bin
+    from xray_drake.cell.cameras import nominal_camera
+    from xray_drake.scene.cameras import add_camera
     from xray_drake.scene.plant import add_bin, add_plant, default_plant_config
 
     builder = DiagramBuilder()
     plant, scene_graph = add_plant(builder, default_plant_config())
-    add_bin(plant)
+    add_bin(plant, Bin())
     plant.Finalize()
     sensor, _ = add_camera(builder, scene_graph, nominal_camera())
     diagram = builder.Build()

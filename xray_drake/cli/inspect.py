@@ -97,7 +97,14 @@ _Meshcat = Annotated[
 ]
 
 
-@replacing("num_objects", "meshes", "scale", "occupancy", panel=_HEAP)
+_OF_HEAP = (
+    *("cell", "camera", "heap", "target_scale", "target_mass"),
+    *("target_color", "num_objects", "meshes", "scale", "occupancy"),
+)
+"""Options that make a heap."""
+
+
+@replacing(*_OF_HEAP, panel=_HEAP)
 @errors_as_lines()
 def inspect(
     context: typer.Context,
@@ -167,10 +174,7 @@ def inspect(
 
 _PAGE = ("opacity", "html")
 _USES = {
-    "heap": (
-        *("scenario", "num_objects", "meshes", "scale", "occupancy", "policy"),
-        *("target", *_PAGE),
-    ),
+    "heap": (*("scenario", "policy", "target", *_OF_HEAP, *_PAGE),),
     "rollout": ("policy", "rollout", "step", *_PAGE),
     "dataset": ("samples", "index", "split", "target", "out"),
 }

@@ -18,11 +18,11 @@ from xray_drake.cli.evaluate import app as evaluate_app
 from xray_drake.cli.inspect import inspect
 from xray_drake.cli.objects import app as objects_app
 from xray_drake.cli.options import (
-    CELL,
     CORES,
     FLAT_TARGETS,
     OCCUPANCIES,
     POLICIES,
+    SEARCHED,
     SPLITS,
     Mix,
     ScenarioName,
@@ -98,7 +98,7 @@ def _runs(module: str) -> Callable:
 
 
 @app.command()
-@replacing("policy", "seed", "occupancy", "target_first", *CELL)
+@replacing("policy", "seed", "occupancy", "target_first", *SEARCHED)
 @_runs("search")
 def search(
     overrides: dict[str, Any],
@@ -114,6 +114,10 @@ def search(
         typer.Option(
             help="Draw each decision as a picture here: PNG, PDF or SVG."
         ),
+    ] = None,
+    save_heap: Annotated[
+        Path | None,
+        typer.Option(help="Write the heap here, as --heap reads it."),
     ] = None,
     meshcat: Annotated[
         bool,
@@ -131,7 +135,7 @@ def search(
 
 
 @app.command()
-@replacing("target_first", *CELL)
+@replacing("target_first", *SEARCHED)
 @_runs("benchmark")
 def benchmark(
     overrides: dict[str, Any],
@@ -171,7 +175,7 @@ def benchmark(
 
 
 @app.command()
-@replacing("num_objects", "meshes", "scale")
+@replacing("cell", "camera", "num_objects", "meshes", "scale")
 @_runs("generate")
 def generate(
     overrides: dict[str, Any],

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from xray_drake.cell.names import cell_names
 from xray_drake.choices import (
     BOX_TARGETS,
     CARRIERS,
@@ -88,7 +89,36 @@ _REPLACING: dict[str, tuple[str, Any, str]] = {
     "target": (
         "scene.target",
         str,
-        f"{one_of((*FLAT_TARGETS, *TALL_TARGETS))}.",
+        f"{one_of((*FLAT_TARGETS, *TALL_TARGETS))}; a mesh file; or the size "
+        "of a box, as 70x40x12mm.",
+    ),
+    "target_scale": (
+        "scene.target_scale",
+        float,
+        "Factor from the unit of the target's mesh to metres.",
+    ),
+    "target_mass": ("scene.target_mass", float, "Of the target, kg."),
+    "target_color": (
+        "scene.target_color",
+        str,
+        "Of the target, as 'blue' or '#0050ff'; red by default.",
+    ),
+    "heap": (
+        "scene.heap_file",
+        Path,
+        "Heap file: objects and poses in place of a heap that is dropped.",
+    ),
+    "cell": (
+        "cell",
+        str,
+        f"{one_of(cell_names())}, or the YAML file of a cell: bin, tote, "
+        "cameras, gripper.",
+    ),
+    "camera": (
+        "cell.overhead",
+        Path,
+        "File of the overhead camera: Drake's CameraConfig, ROS's CameraInfo, "
+        ".intr, or a 3×3 matrix.",
     ),
     "num_objects": (
         "scene.num_objects",
@@ -131,8 +161,10 @@ _REPLACING: dict[str, tuple[str, Any, str]] = {
 }
 """Option to the field of the scenario that it replaces, its type and help."""
 
-CELL = (
-    *("target", "num_objects", "meshes", "scale", "horizon", "execution"),
+SEARCHED = (
+    *("cell", "camera", "target", "target_scale", "target_mass"),
+    *("target_color", "heap"),
+    *("num_objects", "meshes", "scale", "horizon", "execution"),
     *("carrier", "weights", "dtype", "detector", "segmenter", "grasps"),
 )
 """Options of whoever searches a heap."""
@@ -201,6 +233,9 @@ def overrides(**options: Any) -> dict[str, Any]:
         said["perception.occupancy"] = current_occupancy(
             said["perception.occupancy"]
         )
+    for path in ("scene.heap_file", "cell.overhead"):
+        if path in said:
+            said[path] = str(said[path].absolute())
     if "scene.meshes" in said:
         said["scene.meshes"] = [str(path) for path in said["scene.meshes"]]
     if "scene.num_objects" in said:

@@ -18,6 +18,7 @@ from xray_drake.inspector.film_strip import FilmStrip
 from xray_drake.inspector.recording import record_search, write_html
 from xray_drake.inspector.session import InteractiveSearch
 from xray_drake.messages import SearchAction
+from xray_drake.scene import heap_file
 from xray_drake.scene.heap import Heap
 from xray_drake.search.diagram import SearchDiagram, build_search_diagram
 from xray_drake.search.record import ActionRecord, SearchRecord, write_record
@@ -75,6 +76,7 @@ def run(
     html: Path | None,
     film_strip: Path | None,
     meshcat: bool,
+    save_heap: Path | None = None,
 ) -> int:
     """Runs the search and returns the exit status.
 
@@ -85,6 +87,7 @@ def run(
         html: file for a page that plays the search.
         film_strip: file for a picture of each decision.
         meshcat: show it live, on a page with buttons.
+        save_heap: file for the heap as it lies before the first action.
 
     Raises:
         ValueError: bad input.
@@ -92,9 +95,13 @@ def run(
         RuntimeError: the simulation failed, or no heap came to rest.
     """
     configured = configure(scenario, overrides)
-    check_outputs(json, html, picture=film_strip)
+    check_outputs(json, html, save_heap, picture=film_strip)
     if meshcat:
-        for option, path in (("--html", html), ("--film-strip", film_strip)):
+        for option, path in (
+            ("--html", html),
+            ("--film-strip", film_strip),
+            ("--save-heap", save_heap),
+        ):
             if path is not None:
                 raise ValueError(
                     f"{option} records a search from end to end: leave out "
@@ -105,6 +112,8 @@ def run(
     film = FilmStrip()
     observers = (_Narrator(), film) if film_strip else (_Narrator(),)
     heap = _drop(configured)
+    if save_heap is not None:
+        heap_file.save_heap(heap, save_heap, configured.cell.bin)
     diagram = build_search_diagram(
         configured, heap=heap, meshcat=start_meshcat() if html else None
     )
@@ -117,7 +126,7 @@ def run(
         write_record(record, json)
     if film_strip is not None and film.snapshots:
         film.write(film_strip)
-    _summarize(record, [json, html, film_strip])
+    _summarize(record, [json, html, film_strip, save_heap])
     return INTERRUPTED if record.end == "interrupted" else 0
 
 
@@ -139,12 +148,13 @@ def _run_live(scenario: Scenario, json: Path | None) -> None:
 
 
 def _drop(scenario: Scenario) -> Heap:
-    count = scenario.scene.num_objects
-    with progress_bar(Console(), f"dropping {count} objects") as progress:
+    scene = scenario.scene
+    what = Path(scene.heap_file).name or f"{scene.num_objects} objects"
+    with progress_bar(Console(), f"dropping {what}") as progress:
         heap = make_heap(scenario, progress=progress)
+    name = Path(scene.heap_file).name or f"seed {heap.seed}"
     typer.echo(
-        f"heap of seed {heap.seed}: {heap.target.name} under "
-        f"{len(heap.objects)} objects"
+        f"heap of {name}: {heap.target.name} under {len(heap.objects)} objects"
     )
     return heap
 

@@ -12,17 +12,18 @@ from zlib import crc32
 import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
+from xray_drake.cell.cameras import sample_camera
 from xray_drake.configuration import with_paths
 from xray_drake.dataset.check import TILTED
 from xray_drake.dataset.manifest import ExpectedShard, Manifest
 from xray_drake.dataset.pictures import Photographer
 from xray_drake.dataset.sample import Sample, depth_on_disk, problems
 from xray_drake.dataset.shards import ShardAttributes, write_shard
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.provenance import versions
 from xray_drake.ranges import Interval
-from xray_drake.scene.cameras import sample_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.targets import target_model
@@ -106,6 +107,11 @@ def plan_dataset(
     if label not in LABELS:
         raise ValueError(
             f"no label is called {label!r}: choose one of {', '.join(LABELS)}"
+        )
+    if scenario.scene.heap_file:
+        raise ValueError(
+            "scene.heap_file gives one heap, and a dataset has many: leave it "
+            "out"
         )
     targets = targets or (scenario.scene.target,)
     for target in targets:
@@ -260,6 +266,7 @@ class SampleMaker:
                 heap.target,
                 list(models.values()),
                 scenario.camera,
+                scenario.cell.bin,
                 color=manifest.color,
             )
         return [
@@ -271,7 +278,7 @@ class SampleMaker:
     def _alone(self, target: ObjectModel) -> Photographer:
         if target.name not in self._targets:
             self._targets[target.name] = Photographer(
-                target, (), self._scenario.camera, bin_visible=False
+                target, (), self._scenario.camera, None
             )
         return self._targets[target.name]
 
@@ -298,6 +305,7 @@ class SampleMaker:
                 picture.depth_without_target,
                 picture.camera,
                 X_WT[:3, 3],
+                floor=self._scenario.cell.bin.floor,
             )
             occupancy = label.distribution
             flat = heap.target_tilt < TILTED
@@ -305,7 +313,7 @@ class SampleMaker:
                 # ▲ The target placed exactly, with the rules of inference, in
                 # place of the paper's grid.
                 exact = (
-                    _inference(target.name)
+                    _inference(target.name, self._scenario.cell.bin.floor)
                     .infer(
                         picture.depth_without_target,
                         label.modal,
@@ -332,6 +340,7 @@ class SampleMaker:
             view=view,
             num_dropped=heap.num_dropped,
             color=picture.color,
+            bin=self._scenario.cell.bin,
         )
         if wrong := problems(sample):
             raise RuntimeError(
@@ -380,8 +389,8 @@ def split_of_imported(
 
 
 @cache
-def _inference(target: str) -> GeometricInference:
-    return GeometricInference(target_model(target))
+def _inference(target: str, floor: Floor) -> GeometricInference:
+    return GeometricInference(target_model(target), floor=floor)
 
 
 class _Clock:

@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 
+from xray_drake.cell.bin import Bin
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.occupancy.instances import instance_image
 from xray_drake.scene.cameras import add_camera, pinhole_camera
@@ -54,13 +55,13 @@ class _Scene:
         models: Sequence[ObjectModel],
         camera: CameraConfig,
         *,
-        bin_visible: bool,
+        bin_: Bin | None,
         textured: bool,
     ) -> None:
         builder = DiagramBuilder()
         plant, scene_graph = add_plant(builder, default_plant_config())
-        if bin_visible:
-            add_bin(plant)
+        if bin_ is not None:
+            add_bin(plant, bin_)
         items = add_objects(plant, models, collides=False, textured=textured)
         plant.Finalize()
         self._items = {item.name: item for item in items}
@@ -105,8 +106,8 @@ class Photographer:
         target: ObjectModel,
         objects: Sequence[ObjectModel],
         camera: CameraConfig,
+        bin_: Bin | None,
         *,
-        bin_visible: bool = True,
         color: bool = False,
     ) -> None:
         """Builds the scene.
@@ -116,20 +117,18 @@ class Photographer:
             objects: the distractors.
             camera: the nominal camera: gives the size of the images and the
                 renderer.
-            bin_visible: the bin is there, too.
+            bin_: in which they lie; None for objects alone.
             color: pictures have colour, with the textures of imported meshes.
         """
         models = [target, *objects]
         self._names = [model.name for model in models]
-        self._scene = _Scene(
-            models, camera, bin_visible=bin_visible, textured=False
-        )
+        self._scene = _Scene(models, camera, bin_=bin_, textured=False)
         self._scenes = [self._scene]
         if color:
             # Textured meshes have all the triangles of a scan: too slow for
             # depth and labels.
             self._scenes.append(
-                _Scene(models, camera, bin_visible=bin_visible, textured=True)
+                _Scene(models, camera, bin_=bin_, textured=True)
             )
         self._heap: Heap | None = None
         self._camera = pinhole_camera(camera)

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from xray_drake.cell.bin import Bin
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.geometry.tilt import tilt
 
 TARGET_INSTANCE = 1
@@ -104,6 +106,7 @@ class Sample:
         num_dropped: distractors dropped when the picture was taken, those
             that fell outside the bin included.
         color: (H, W, 3) uint8 RGB, or None.
+        bin: in which the heap lies.
 
     Raises:
         ValueError: an array has a shape that no image or matrix has, a name
@@ -126,6 +129,7 @@ class Sample:
     view: int = 0
     num_dropped: int = 0
     color: np.ndarray | None = field(default=None, repr=False)
+    bin: Bin = field(default_factory=Bin)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.depth)
@@ -173,6 +177,11 @@ class Sample:
             intrinsics=self.intrinsics,
             X_WC=self.X_WC,
         )
+
+    @property
+    def floor(self) -> Floor:
+        """The inside of the bin's floor."""
+        return self.bin.floor
 
     @property
     def visible_fraction(self) -> float:

@@ -16,6 +16,10 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
+from xray_drake.cell.bin import Bin
+from xray_drake.configuration import (
+    build,
+)
 from xray_drake.dataset.manifest import (
     FORMAT_VERSION,
     DatasetError,
@@ -37,6 +41,7 @@ from xray_drake.dataset.sample import (
 )
 from xray_drake.files import write_whole_file
 from xray_drake.splits import SPLITS
+from xray_drake.trees import read_tree
 
 _LIBVER = ("v110", "v110")
 """Readable from HDF5 1.10 on; its metadata carry checksums."""
@@ -157,6 +162,7 @@ class ShardReader:
         self._file: h5py.File | None = None
         self._pid = -1
         self._keys: tuple[SampleKey, ...] | None = None
+        self._bin: Bin | None = None
 
     def __reduce__(self) -> tuple[type, tuple[Path]]:
         return ShardReader, (self.path,)
@@ -204,6 +210,15 @@ class ShardReader:
                     if name in stored or name != "index"
                 }
             )
+
+    @property
+    def bin(self) -> Bin:
+        """The bin in which all heaps lie: that of the scenario's cell."""
+        if self._bin is None:
+            tree = read_tree(self.attributes.scenario, str(self.path))
+            part = tree.get("cell", {}).get("bin", {})
+            self._bin = build(Bin, part, str(self.path))
+        return self._bin
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -263,7 +278,10 @@ class ShardReader:
         key, objects = self.keys[index], self._read("object_names", index)
         with _naming_damage(self.path):
             return Sample(
-                **parts, object_names=json.loads(objects), **vars(key)
+                **parts,
+                object_names=json.loads(objects),
+                bin=self.bin,
+                **vars(key),
             )
 
     def _open(self) -> h5py.File:

@@ -20,6 +20,7 @@ from xray_drake.dataset.sample import (
 )
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.convex import hull_planes
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.label.config import LabelConfig
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 
@@ -202,7 +203,7 @@ def virtual_sample(
     """
     config = config or LabelConfig()
     camera, scene = sample.camera, sample.depth_without_target
-    under = _under_objects(scene, camera, config)
+    under = _under_objects(scene, camera, sample.floor)
     most = 0.0 if rng.random() < hidden else _MOST_VISIBLE
     found = None
     for attempt in range(_TARGETS * _PLACES):
@@ -210,7 +211,7 @@ def virtual_sample(
             target = (
                 draw_target(rng) if size is None else make_target("box", size)
             )
-        X_WT = _place(target, under, rng, config)
+        X_WT = _place(target, under, rng, sample.floor)
         if X_WT is None:
             continue
         alone = target_depth(target, X_WT, camera)
@@ -228,7 +229,13 @@ def virtual_sample(
         return None
     target, X_WT, alone, seen = found
     label = occupancy_label(
-        alone, scene, camera, X_WT[:3, 3], observed=seen, config=config
+        alone,
+        scene,
+        camera,
+        X_WT[:3, 3],
+        floor=sample.floor,
+        observed=seen,
+        config=config,
     )
     if not label.distribution.any():
         return None
@@ -251,18 +258,11 @@ def virtual_sample(
 
 
 def _under_objects(
-    scene: np.ndarray, camera: PinholeCamera, config: LabelConfig
+    scene: np.ndarray, camera: PinholeCamera, floor: Floor
 ) -> np.ndarray:
     """(n, 2) x and y of what is seen higher than the floor in the bin, m."""
     points = camera.unproject(np.where(scene > 0, scene, np.nan))
-    x_low, x_high, y_low, y_high = config.floor
-    inside = (
-        (points[..., 2] > 0.01)
-        & (points[..., 0] > x_low)
-        & (points[..., 0] < x_high)
-        & (points[..., 1] > y_low)
-        & (points[..., 1] < y_high)
-    )
+    inside = (points[..., 2] > 0.01) & floor.contains(points)
     return points[inside][:, :2]
 
 
@@ -270,10 +270,10 @@ def _place(
     target: VirtualTarget,
     under: np.ndarray,
     rng: np.random.Generator,
-    config: LabelConfig,
+    floor: Floor,
 ) -> np.ndarray | None:
     """Draws a (4, 4) pose on the floor, or None if it leaves the bin."""
-    x_low, x_high, y_low, y_high = config.floor
+    (x_low, x_high), (y_low, y_high) = floor.x, floor.y
     if rng.random() < _UNDER_OBJECTS:
         if not len(under):
             return None

@@ -51,6 +51,33 @@ class PinholeCamera:
             columns.stop - columns.start, rows.stop - rows.start, K, self.X_WC
         )
 
+    def padded(self, height: int, width: int) -> "PinholeCamera":
+        """Returns the camera of its images with more rows and columns.
+
+        They are added below and on the right.
+
+        Args:
+            height: no less than its own, pixels.
+            width: likewise.
+        """
+        return PinholeCamera(width, height, self.intrinsics, self.X_WC)
+
+    def resized(self, width: int, height: int) -> "PinholeCamera":
+        """Returns the camera of its images in another size.
+
+        The images show the same: pixel i of n spans [i − ½, i + ½], and all n
+        together are stretched over the new ones.
+
+        Args:
+            width: pixels, at least 1.
+            height: likewise.
+        """
+        scale = np.array([width / self.width, height / self.height])
+        K = np.array(self.intrinsics)
+        K[:2] *= scale[:, None]
+        K[:2, 2] += (scale - 1) / 2
+        return PinholeCamera(width, height, K, self.X_WC)
+
     def zoomed(self, factor: float) -> "PinholeCamera":
         """Returns the camera of its images scaled about their centre.
 

@@ -1,6 +1,5 @@
 """The bin floor as a lattice that images are warped to and from."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -22,11 +21,11 @@ class Floor:
     x: tuple[float, float]
     y: tuple[float, float]
 
-    @staticmethod
-    def of(bounds: Sequence[float]) -> "Floor":
-        """Returns the floor of a configuration: x low, high, y low, high, m."""
-        x_low, x_high, y_low, y_high = bounds
-        return Floor((x_low, x_high), (y_low, y_high))
+    def contains(self, xy: np.ndarray) -> np.ndarray:
+        """Returns (...) bool, whether points (..., 2 or more) are in it, m."""
+        low, high = np.array([self.x, self.y]).T
+        xy = np.asarray(xy)[..., :2]
+        return ((xy > low) & (xy < high)).all(axis=-1)
 
     def half_planes(self, tolerance: float) -> np.ndarray:
         """Returns its sides, moved out by ``tolerance`` (m).

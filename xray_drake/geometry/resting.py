@@ -12,6 +12,18 @@ from xray_drake.geometry.silhouette import height_map
 _REACH = 60
 """Half width of the height maps that poses are compared by, cells."""
 
+_FLAT = 0.75
+"""Height of a flat body, as a share of its width."""
+
+_USUAL = 0.65
+"""Share of throws that end with a flat body lying flat."""
+
+_UPRIGHT = 0.99
+"""Cosine of the angle between its z axis and the vertical."""
+
+_ALIKE = 0.06
+"""Share of their area by which silhouettes that are the same may differ."""
+
 _TURNS = 72
 """Turns about the vertical at which they are compared."""
 
@@ -60,6 +72,36 @@ def resting_poses(
     """
     com = mesh.center_mass if p_OCom is None else p_OCom
     return _find(mesh, tuple(map(float, com)), least_share, same)
+
+
+def lies_flat(mesh: trimesh.Trimesh, p_OCom: np.ndarray | None = None) -> bool:
+    """Says whether a body lies flat, its z axis up or down, as a rule.
+
+    Where it does, one silhouette and one height are enough to look for it: it
+    is no higher than :data:`_FLAT` of its width, most throws end so
+    (:data:`_USUAL`), and on either face it looks the same from above.
+
+    Args:
+        mesh: closed, in the body frame, m.
+        p_OCom: (3,) centre of mass, m; by default that of the mesh.
+    """
+    length, width, height = mesh.extents
+    flat = [
+        pose
+        for pose in resting_poses(mesh, p_OCom)
+        if abs(pose.R_WO[2, 2]) > _UPRIGHT
+    ]
+    if height > _FLAT * min(length, width) or (
+        sum(pose.probability for pose in flat) < _USUAL
+    ):
+        return False
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    pitch = float(np.linalg.norm(np.ptp(vertices, axis=0))) / _REACH
+    outlines = [
+        (_centered(standing(vertices, pose.R_WO), mesh.faces, pitch) > 0) * 1.0
+        for pose in flat
+    ]
+    return all(_is_same(outlines[0], other, _ALIKE) for other in outlines)
 
 
 def standing(vertices: np.ndarray, R_WO: np.ndarray) -> np.ndarray:

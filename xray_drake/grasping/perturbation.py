@@ -1,11 +1,12 @@
 """How execution differs from the plan."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from xray_drake.configuration import number
+from xray_drake.configuration import in_order, number
 from xray_drake.messages import Grasp
 
 
@@ -22,6 +23,10 @@ class PerturbationConfig:
     friction: float = number(0.5, "(0, 5]")
     friction_sigma: float = number(0.1, "[0, 5]")
     friction_min: float = number(0.05, "[0, 5]")
+
+    def complaints(self) -> Iterator[str]:
+        """Yields what is wrong between its fields."""
+        yield from in_order(self, "friction_min", "friction")
 
 
 def perturb(

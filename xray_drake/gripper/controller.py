@@ -3,6 +3,8 @@
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
+from xray_drake.cell.bin import Tote
+from xray_drake.cell.cell import Cell
 from xray_drake.gripper.actuation.contact import (
     ContactActuation,
     ContactState,
@@ -52,6 +54,7 @@ class GripperController(TransferSystem[ContactState, Measured]):
         self,
         *,
         gripper: YumiGripper,
+        tote: Tote | None = None,
         config: ExecutionConfig | None = None,
         force: float = 20.0,
         period: float = 0.01,
@@ -61,13 +64,18 @@ class GripperController(TransferSystem[ContactState, Measured]):
 
         Args:
             gripper: what it moves.
+            tote: where it puts objects down; by default the nominal cell's.
             config: how.
             force: squeeze of each finger, N.
             period: of the state machine, s.
             time_step: of the plant, s: the delay of its position control.
         """
         actuation = ContactActuation(
-            gripper, config, force=force, period=period
+            gripper,
+            tote or Cell().placed_tote,
+            config,
+            force=force,
+            period=period,
         )
         super().__init__(actuation, actuation.initial(), period=period)
         self._time_step = time_step

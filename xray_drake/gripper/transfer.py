@@ -6,8 +6,6 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Generic, Protocol, TypeVar
 
-import numpy as np
-
 from xray_drake.messages import (
     GripperMode,
     GripperStatus,
@@ -15,28 +13,10 @@ from xray_drake.messages import (
     Outcome,
     SearchAction,
 )
-from xray_drake.scene.plant import TOTE_POSITION
-
-HOME = np.array(
-    [[1.0, 0, 0, 0.0], [0, -1.0, 0, 0.32], [0, 0, -1.0, 0.34], [0, 0, 0, 1]]
-)
-"""Pose X_WJ at which the jaw waits, 4×4: pointing down, beside the overhead
-camera's view."""
 
 LIFT_CLEARANCE = 0.05
 """An object is lifted clear of the bin when it is this far over the walls, m
 (PROTOCOL.md)."""
-
-_SLOTS = tuple((x, y) for y in (0.1, 0.0, -0.1) for x in (-0.1, 0.0, 0.1))
-
-
-def tote_slot(carried: int) -> np.ndarray:
-    """Returns where in the tote the next object goes, (2,) in the world, m.
-
-    Args:
-        carried: number of objects brought there before.
-    """
-    return np.array(TOTE_POSITION[:2]) + _SLOTS[carried % len(_SLOTS)]
 
 
 class TransferError(ValueError):

@@ -12,6 +12,7 @@ from pydrake.multibody.tree import (
     RigidBody,
 )
 
+from xray_drake.cell.cell import Cell
 from xray_drake.choices import CARRIERS
 from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
@@ -69,15 +70,21 @@ class YumiGripper:
         ]
 
 
-_Add = Callable[[MultibodyPlant], tuple[ModelInstanceIndex, Frame]]
+_Add = Callable[[MultibodyPlant, Cell], tuple[ModelInstanceIndex, Frame]]
 _Make = Callable[
-    [MultibodyPlant, ModelInstanceIndex, ModelInstanceIndex, np.ndarray],
+    [
+        MultibodyPlant,
+        ModelInstanceIndex,
+        ModelInstanceIndex,
+        np.ndarray,
+        Cell,
+    ],
     Carrier,
 ]
 
 _CARRIERS: Mapping[str, tuple[_Add, _Make]] = {
     "wrist": (add_wrist, make_wrist),
-    "arm": (YUMI_ARM.add, lambda *_: Arm(YUMI_ARM)),
+    "arm": (YUMI_ARM.add, lambda *given: Arm(YUMI_ARM, given[-1])),
 }
 """How to add a carrier to a plant, and to make its kinematics."""
 
@@ -86,6 +93,7 @@ def add_gripper(
     plant: MultibodyPlant,
     *,
     carrier: str = CARRIERS[0],
+    cell: Cell | None = None,
 ) -> YumiGripper:
     """Adds the gripper to a plant, at home and open in the default context.
 
@@ -97,12 +105,14 @@ def add_gripper(
     Args:
         plant: discrete, not finalized.
         carrier: one of :data:`xray_drake.choices.CARRIERS`.
+        cell: says where it is mounted and waits; by default the nominal one.
 
     Raises:
         ReachError: the wrist cannot be at home.
     """
     add, make = _CARRIERS[carrier]
-    arm, tool = add(plant)
+    cell = cell or Cell()
+    arm, tool = add(plant, cell)
     hand = add_hand(plant, tool)
     base = plant.GetBodyByName("gripper_base", hand)
     for instance in (arm, hand):
@@ -116,7 +126,7 @@ def add_gripper(
         .GetAsMatrix4()
         for name in ("jaw", "cup")
     )
-    kinematics = make(plant, arm, hand, X_BJ)
+    kinematics = make(plant, arm, hand, X_BJ, cell)
     joints = moving_joints(plant, arm)
     for joint, position in zip(joints, kinematics.home, strict=True):
         joint.set_default_positions([position])

@@ -22,7 +22,6 @@ from xray_drake.drawing.meshcat_layers import (
 from xray_drake.drawing.primitives import Lines, Points, frustum_lines
 from xray_drake.geometry.readings import has_reading
 from xray_drake.inspector.snapshot import Snapshot, ranking_lines
-from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y
 
 ROOT = "/inspect"
 
@@ -34,11 +33,6 @@ _CAMERA_COLOR = (0.1, 0.3, 0.8)
 _CANDIDATE_ROD = 0.001
 """Radius, m: thinner than the grasp that was chosen."""
 
-_X_W_TEXT = RigidTransform(
-    RollPitchYaw(np.pi / 2, 0.0, 0.0),
-    [BIN_FLOOR_X[0] + 0.01, BIN_FLOOR_Y[1] - 0.002, 0.015],
-)
-"""On the bin's far wall."""
 _TEXT = 0.0115
 """Height of a line, m."""
 _TEXT_COLOR = (0.15, 0.17, 0.2)
@@ -166,7 +160,10 @@ def _draw_points(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
 
 def _draw_ranking(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
     lines = ranking_lines(shot.action)
-    draw_text(meshcat, path, lines, _X_W_TEXT, height=_TEXT, color=_TEXT_COLOR)
+    x, y = np.array([-1, 1]) * shot.bin.half_size + [0.01, -0.002]
+    # On the bin's far wall.
+    X_WT = RigidTransform(RollPitchYaw(np.pi / 2, 0.0, 0.0), [x, y, 0.015])
+    draw_text(meshcat, path, lines, X_WT, height=_TEXT, color=_TEXT_COLOR)
 
 
 LAYERS = (

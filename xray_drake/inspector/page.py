@@ -14,8 +14,11 @@ from xray_drake.inspector.replay import (
 from xray_drake.inspector.snapshot import ranking_lines
 from xray_drake.inspector.view import ReplayView
 from xray_drake.scene.targets import TARGET_NAMES
+from xray_drake.station.config import MOST_OBJECTS
 from xray_drake.station.objects import make_heap
-from xray_drake.station.scenario import MOST_OBJECTS, Scenario
+from xray_drake.station.scenario import (
+    Scenario,
+)
 
 STEP, BACK, NEXT, SEARCH = "step", "back", "next", "search this heap"
 HEAP_OPACITY = "heap opacity"

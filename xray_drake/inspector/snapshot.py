@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
+from xray_drake.cell.bin import Bin
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.messages import (
@@ -37,6 +38,7 @@ class Snapshot:
         action: the decision, with ranking, scores and grasp.
         poses: of all objects, the removed ones included.
         camera: of all images.
+        bin: in which the heap lies.
         color: (H, W, 3) uint8 RGB.
         depth: (H, W) float32 z-depth as it is, m.
         seen_depth: the same as perception has it, with noise where there is.
@@ -55,6 +57,7 @@ class Snapshot:
     action: SearchAction
     poses: Poses
     camera: PinholeCamera
+    bin: Bin
     color: np.ndarray
     depth: np.ndarray
     seen_depth: np.ndarray
@@ -155,6 +158,7 @@ def take_snapshot(
         action=action,
         poses=poses,
         camera=camera,
+        bin=diagram.scenario.cell.bin,
         color=np.array(look(f"{name}.color_image").data[:, :, :3]),
         depth=np.array(look(f"{name}.depth_image").data[:, :, 0]),
         seen_depth=np.array(look(seen).data[:, :, 0]),

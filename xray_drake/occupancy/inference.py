@@ -1,7 +1,6 @@
 """The one factory of inferences: for a search, an evaluation and a teacher."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,41 +10,44 @@ from xray_drake.choices import (
     WITHOUT_NETWORK,
     current_occupancy,
 )
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.learned.inference import (
     default_weights,
     load_inference,
 )
+from xray_drake.occupancy.observation import OccupancyModel
+from xray_drake.occupancy.scaled import ScaledInference
 from xray_drake.scene.object_model import ObjectModel
-
-if TYPE_CHECKING:
-    from xray_drake.occupancy.system import OccupancyModel
 
 
 def make_inference(
     name: str,
     target: ObjectModel | np.ndarray,
     *,
+    floor: Floor | None = None,
     geometric: GeometricConfig | None = None,
     weights: Path | None = None,
     dtype: str = DTYPES[0],
     scaling: bool = True,
-) -> "OccupancyModel":
+    scale: float = 1.0,
+) -> OccupancyModel:
     """Prepares what infers where a target can be.
 
     Args:
         name: one of :data:`xray_drake.choices.OCCUPANCIES`.
         target: what is searched for. To a network, the (3,) length, width and
             thickness of its bounding box, m, will do.
-        geometric: the numbers of geometric inference; all inferences take the
-            bin's floor from it.
+        floor: inside of the bin's; by default the nominal bin's.
+        geometric: the numbers of geometric inference.
         weights: of a network, or a folder of networks of one box each; by
             default those that travel with the package.
         dtype: what a network computes in, one of
             :data:`xray_drake.choices.DTYPES`.
         scaling: a network of a single box sees an image that is scaled until
             the target is as large as its box; otherwise the image as it is.
+        scale: of the sides of images before they are looked at, in (0, 1].
 
     Raises:
         ValueError: no such name, a number that is out of range, no model where
@@ -58,7 +60,17 @@ def make_inference(
             f"no inference is called {name!r}: choose one of "
             f"{', '.join(OCCUPANCIES)}"
         )
-    config = geometric or GeometricConfig()
+    if scale != 1.0:
+        model = make_inference(
+            name,
+            target,
+            floor=floor,
+            geometric=geometric,
+            weights=weights,
+            dtype=dtype,
+            scaling=scaling,
+        )
+        return ScaledInference(model, scale)
     if name not in WITHOUT_NETWORK:
         return load_inference(
             weights or default_weights(),
@@ -68,10 +80,10 @@ def make_inference(
             output="posterior" if name == "posterior" else "occupancy",
             scaling=scaling,
             dtype=dtype,
-            floor=config.floor,
+            floor=floor,
         )
     if not isinstance(target, ObjectModel):
         raise ValueError(
             f"{name} inference needs the target's model, not its size alone"
         )
-    return GeometricInference(target, config, name)
+    return GeometricInference(target, geometric, name, floor=floor)

@@ -1,5 +1,7 @@
 """What an inference can be asked about."""
 
+from typing import Protocol
+
 import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
@@ -8,6 +10,26 @@ from xray_drake.geometry.readings import (
     depth_readings,
     has_reading,
 )
+from xray_drake.messages import OccupancyDistribution
+
+
+class OccupancyModel(Protocol):
+    """Anything that infers where the target can be."""
+
+    def infer(
+        self,
+        depth: np.ndarray,
+        target_mask: np.ndarray,
+        camera: PinholeCamera,
+    ) -> OccupancyDistribution:
+        """Infers the distribution from one augmented depth image.
+
+        Args:
+            depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
+            target_mask: (H, W) bool modal mask, blank where it is not seen.
+            camera: the camera of both.
+        """
+        ...
 
 
 def check_observation(

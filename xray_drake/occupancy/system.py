@@ -1,7 +1,6 @@
 """The LeafSystem that infers the occupancy distribution from images."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -11,25 +10,7 @@ from pydrake.systems.sensors import ImageDepth32F
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import Message, OccupancyDistribution, TargetMask
-
-
-class OccupancyModel(Protocol):
-    """Anything that infers where the target can be."""
-
-    def infer(
-        self,
-        depth: np.ndarray,
-        target_mask: np.ndarray,
-        camera: PinholeCamera,
-    ) -> OccupancyDistribution:
-        """Infers the distribution from one augmented depth image.
-
-        Args:
-            depth: (H, W) float32 z-depth, m; 0, inf and NaN are no reading.
-            target_mask: (H, W) bool modal mask, blank where it is not seen.
-            camera: the camera of both.
-        """
-        ...
+from xray_drake.occupancy.observation import OccupancyModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from xray_drake.configuration import bin_floor, count, number
+from xray_drake.cell.bin import Bin
+from xray_drake.configuration import count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.readings import (
     check_shapes,
@@ -37,8 +38,6 @@ _HEIGHT_STEP = 2e-5
 class DepthSegmenterConfig:
     """Numbers of ``segment_depth``."""
 
-    # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = bin_floor()
     # What is nearer to a wall than this is the wall, m.
     wall_tolerance: float = number(0.004, "[0, 0.1]")
     # What is lower than this is the floor, m. The thinnest target is 5 mm.
@@ -65,6 +64,7 @@ def segment_depth(
     camera: PinholeCamera,
     config: DepthSegmenterConfig | None = None,
     *,
+    bin_: Bin | None = None,
     target: np.ndarray | None = None,
 ) -> InstanceMasks:
     """Finds all objects in the bin.
@@ -72,7 +72,8 @@ def segment_depth(
     Args:
         depth: (H, W) z-depth, m; 0, inf and NaN are no reading.
         camera: of the image.
-        config: by default for the bin of this package.
+        config: the numbers.
+        bin_: in which the objects lie; by default the nominal bin.
         target: (H, W) bool, the target's modal mask; where it is not blank it
             is an instance, whatever the depth.
 
@@ -90,7 +91,7 @@ def segment_depth(
     target = np.asarray(target, bool)
     filled, known = _filled(depth_readings(depth, camera), config.fill_radius)
     points = camera.unproject(filled)
-    objects = known & _in_bin(points, config) & ~target
+    objects = known & _in_bin(points, bin_ or Bin(), config) & ~target
     labels = np.full(camera.shape, -1, np.int32)
     if objects.any():
         middle = float(np.median(filled[objects]))
@@ -116,16 +117,11 @@ def _filled(depth: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     return filled, away <= radius
 
 
-def _in_bin(points: np.ndarray, config: DepthSegmenterConfig) -> np.ndarray:
-    x_low, x_high, y_low, y_high = config.floor
-    x, y, z = np.moveaxis(points, -1, 0)
-    wall = config.wall_tolerance
-    return (
-        (z > config.floor_height)
-        & (x > x_low + wall)
-        & (x < x_high - wall)
-        & (y > y_low + wall)
-        & (y < y_high - wall)
+def _in_bin(
+    points: np.ndarray, bin_: Bin, config: DepthSegmenterConfig
+) -> np.ndarray:
+    return (points[..., 2] > config.floor_height) & (
+        bin_.distance_to_walls(points) > config.wall_tolerance
     )
 
 

@@ -9,6 +9,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
+from xray_drake.cell.bin import Bin
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import InstanceMasks, TargetMask
@@ -197,6 +198,7 @@ class DepthInstanceSegmenter(_Perception):
     def __init__(
         self,
         *,
+        bin_: Bin | None = None,
         config: DepthSegmenterConfig | None = None,
         width: int = 512,
         height: int = 384,
@@ -204,6 +206,7 @@ class DepthInstanceSegmenter(_Perception):
         """Builds the segmenter.
 
         Args:
+            bin_: in which the objects lie; by default the nominal bin.
             config: its numbers.
             width: of the images, pixels.
             height: of the images, pixels.
@@ -218,7 +221,7 @@ class DepthInstanceSegmenter(_Perception):
             "instances",
             InstanceMasks,
         )
-        self._config = config
+        self._bin, self._config = bin_, config
 
     def _compute(
         self,
@@ -228,7 +231,9 @@ class DepthInstanceSegmenter(_Perception):
     ) -> InstanceMasks:
         mask = None if target is None else target.data
         depth = image.data[:, :, 0]
-        return segment_depth(depth, camera, self._config, target=mask)
+        return segment_depth(
+            depth, camera, self._config, bin_=self._bin, target=mask
+        )
 
 
 class NoisyDepthSensor(_Perception):

@@ -25,7 +25,7 @@ from xray_drake.messages import (
     SearchAction,
     TargetMask,
 )
-from xray_drake.occupancy.system import OccupancyModel
+from xray_drake.occupancy.observation import OccupancyModel
 from xray_drake.perception.ground_truth import target_instance
 from xray_drake.policy.planning import (
     FailedGrasp,

@@ -11,6 +11,7 @@ The table leaves out draws that look like another object's (``Likeness`` in
 
 import json
 import zlib
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 
@@ -18,7 +19,11 @@ import numpy as np
 
 from xray_drake.scene.colors import distractor_color
 from xray_drake.scene.families import FAMILIES
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.object_model import (
+    ObjectModel,
+    Origin,
+    object_from_pieces,
+)
 from xray_drake.scene.packaging import PACKAGED, packaged_model
 from xray_drake.splits import SPLITS
 
@@ -101,12 +106,13 @@ def make_object(name: str) -> ObjectModel:
     """
     draw, _ = _find(name)
     if name.endswith(PACKAGED):
-        return packaged_model(
+        model = packaged_model(
             make_object(name.removesuffix(PACKAGED)),
             zlib.crc32(name.encode()),
         )
-    family = name.rpartition("_")[0]
-    return drawn_object(name, family, draw)
+    else:
+        model = drawn_object(name, name.rpartition("_")[0], draw)
+    return replace(model, origin=Origin(name))
 
 
 def drawn_object(name: str, family: str, draw: int) -> ObjectModel:

@@ -1,9 +1,13 @@
 """One object of a heap, as geometry and mass, free of any simulator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
+
+from xray_drake.geometry.resting import lies_flat
 
 DEFAULT_FRICTION = 0.5
 """Coulomb friction of objects, bin and fingers (PROTOCOL.md)."""
@@ -31,6 +35,21 @@ class TexturedMesh:
     image: np.ndarray
 
 
+class Origin(NamedTuple):
+    """What an object was made from.
+
+    Attributes:
+        source: a name of the library or of a target, a target's size, or the
+            path of a mesh file.
+        scale: metres per unit of the file.
+        X_FO: 4×4 pose of the body frame O in the file's frame F, m.
+    """
+
+    source: str = ""
+    scale: float = 1.0
+    X_FO: np.ndarray = np.eye(4)
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
     """An object that can be dropped into a heap.
@@ -48,6 +67,7 @@ class ObjectModel:
         friction: Coulomb coefficient.
         color: red, green, blue, alpha in [0, 1].
         textured: the same surface with its texture, where it has one.
+        origin: what it was made from.
     """
 
     name: str
@@ -59,6 +79,7 @@ class ObjectModel:
     friction: float = DEFAULT_FRICTION
     color: tuple[float, float, float, float] = (0.6, 0.6, 0.6, 1.0)
     textured: TexturedMesh | None = None
+    origin: Origin = field(default_factory=Origin)
 
     def __deepcopy__(self, memo: dict) -> "ObjectModel":
         return self
@@ -67,6 +88,14 @@ class ObjectModel:
     def extents(self) -> np.ndarray:
         """The (3,) size of the axis-aligned bounding box in O, m."""
         return self.visual.extents
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """It lies flat, z axis up or down, as a rule.
+
+        See :func:`~xray_drake.geometry.resting.lies_flat`.
+        """
+        return lies_flat(self.visual, self.p_OCom)
 
 
 def object_from_pieces(

@@ -3,6 +3,8 @@
 The paper tests on such objects too (its 13 "packaged" YCB objects).
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 import trimesh
@@ -78,7 +80,7 @@ def packaged_model(model: ObjectModel, seed: int) -> ObjectModel:
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R, p - center
     card.apply_translation(-center)
-    visual = model.visual.copy().apply_transform(X)
+    visual: Any = model.visual.copy().apply_transform(X)
     if visual.is_volume:
         visual = trimesh.boolean.union([visual, card], engine="manifold")
     else:

@@ -1,15 +1,18 @@
 """Puts the bin, the tote and objects into a MultibodyPlant."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import trimesh
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     AddCompliantHydroelasticProperties,
     AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    Box,
     Convex,
     GeometryInstance,
     InMemoryMesh,
@@ -22,7 +25,11 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
+from pydrake.multibody.parsing import (
+    LoadModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import (
     AddMultibodyPlant,
     CoulombFriction,
@@ -39,27 +46,24 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.configuration import BIN_FLOOR
-from xray_drake.resources import PACKAGE_NAME
+from xray_drake.cell.bin import Bin, OpenBox, Tote
+from xray_drake.cell.cell import Cell
 from xray_drake.scene.contact import (
     ContactConfig,
     angular_damping,
     hydroelastic_modulus,
 )
-from xray_drake.scene.meshes.textures import drake_mesh
-from xray_drake.scene.object_model import ObjectModel, shaded
+from xray_drake.scene.object_model import ObjectModel, TexturedMesh, shaded
 from xray_drake.scene.parsing import configure_parser
 
-BIN_FLOOR_X, BIN_FLOOR_Y = BIN_FLOOR[:2], BIN_FLOOR[2:]
-BIN_WALL_HEIGHT = 0.12
-"""Inside of the bin, m (PROTOCOL.md); the floor's top is z = 0."""
+BIN_COLOR = (0.75, 0.75, 0.75, 1.0)
+TOTE_COLOR = (0.35, 0.5, 0.7, 1.0)
 
-TOTE_POSITION = (0.62, 0.0, 0.0)
-"""Centre of the tote's inside floor in the world, m: beside the bin and out
-of the overhead camera's view."""
+_INERTIA = SpatialInertia.SolidBoxWithMass(1.0, 1.0, 1.0, 1.0)
+"""Of no account: bin and tote are welded to the world."""
 
-TOTE_SIZE = (0.36, 0.36, 0.12)
-"""Inside of the tote, m: along x and y, and the height of its walls."""
+BIN_FRICTION = 0.5
+"""Coulomb coefficient of bin and tote (PROTOCOL.md, "Scene")."""
 
 
 @dataclass(frozen=True)
@@ -126,47 +130,70 @@ def add_plant(
     return plant, scene_graph
 
 
-def add_bin(plant: MultibodyPlant, *, with_tote: bool = False) -> None:
-    """Adds the bin, and the tote beside it, as bodies welded to the world.
+def add_bin(plant: MultibodyPlant, bin_: Bin) -> RigidBody:
+    """Adds a bin as a body ``bin`` welded to the world.
 
-    They must not be geometry of the world body itself: up to Drake 1.51.1
-    locked joints that touch the world body's geometry end the process.
+    It must not be geometry of the world body itself: up to Drake 1.51.1 locked
+    joints that touch the world body's geometry end the process.
+
+    Args:
+        plant: not finalized, registered with a scene graph.
+        bin_: the bin.
     """
-    parser = Parser(plant)
-    configure_parser(parser)
-    parser.AddModelsFromUrl(f"package://{PACKAGE_NAME}/bin/bin.sdf")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("bin"))
-    if with_tote:
-        parser.AddModelsFromUrl(f"package://{PACKAGE_NAME}/tote/tote.sdf")
-        plant.WeldFrames(
-            plant.world_frame(),
-            plant.GetFrameByName("tote"),
-            RigidTransform(TOTE_POSITION),
-        )
+    return _add_open_box(plant, "bin", bin_, np.zeros(3), BIN_COLOR)
 
 
-def inside_bin(p_W: np.ndarray) -> bool:
-    """Says whether a body whose origin is at ``p_W`` (3,) is in the bin."""
-    return bool(
-        BIN_FLOOR_X[0] < p_W[0] < BIN_FLOOR_X[1]
-        and BIN_FLOOR_Y[0] < p_W[1] < BIN_FLOOR_Y[1]
-        and p_W[2] > -0.01
+def add_tote(plant: MultibodyPlant, tote: Tote) -> RigidBody:
+    """Adds a tote at its place as a body ``tote`` welded to the world."""
+    p_W = np.array(tote.position)
+    return _add_open_box(plant, "tote", tote, p_W, TOTE_COLOR)
+
+
+def add_cell(plant: MultibodyPlant, cell: Cell) -> None:
+    """Adds bin, tote and what else stands in a cell, all but its gripper.
+
+    Raises:
+        RuntimeError: the cell's model directives cannot be carried out.
+    """
+    add_bin(plant, cell.bin)
+    add_tote(plant, cell.placed_tote)
+    if cell.directives:
+        parser = Parser(plant)
+        configure_parser(parser)
+        ProcessModelDirectives(LoadModelDirectives(cell.directives), parser)
+
+
+def _add_open_box(
+    plant: MultibodyPlant,
+    name: str,
+    box: OpenBox,
+    p_W: np.ndarray,
+    color: Sequence[float],
+) -> RigidBody:
+    instance = plant.AddModelInstance(name)
+    body = plant.AddRigidBody(name, instance, _INERTIA)
+    properties = ProximityProperties()
+    AddContactMaterial(
+        friction=CoulombFriction(BIN_FRICTION, BIN_FRICTION),
+        properties=properties,
     )
-
-
-def over_tote(p_W: np.ndarray) -> bool:
-    """Says whether a body whose origin is at ``p_W`` (3,) is in the tote.
-
-    Or above it, on whatever lies there.
-    """
-    from_centre = np.abs(np.asarray(p_W) - TOTE_POSITION)
-    half = np.array(TOTE_SIZE[:2]) / 2
-    return bool((from_centre[:2] < half).all() and p_W[2] > -0.01)
-
-
-def inside_tote(p_W: np.ndarray) -> bool:
-    """Says whether a body whose origin is at ``p_W`` (3,) is in the tote."""
-    return over_tote(p_W) and bool(p_W[2] < TOTE_SIZE[2])
+    AddRigidHydroelasticProperties(properties=properties)
+    slabs = box.slabs()
+    for slab in slabs:
+        if slab.seen:
+            X_BS, shape = RigidTransform(slab.X_BS), Box(*slab.size)
+            plant.RegisterVisualGeometry(
+                body, X_BS, shape, slab.name, np.array(color)
+            )
+    for slab in slabs:
+        X_BS, shape = RigidTransform(slab.X_BS), Box(*slab.size)
+        plant.RegisterCollisionGeometry(
+            body, X_BS, shape, slab.name, properties
+        )
+    plant.WeldFrames(
+        plant.world_frame(), body.body_frame(), RigidTransform(p_W)
+    )
+    return body
 
 
 def in_memory_mesh(mesh: trimesh.Trimesh, label: str) -> InMemoryMesh:
@@ -176,6 +203,44 @@ def in_memory_mesh(mesh: trimesh.Trimesh, label: str) -> InMemoryMesh:
         mesh_file=MemoryFile(
             contents=text, extension=".obj", filename_hint=label
         )
+    )
+
+
+def drake_mesh(textured: TexturedMesh, label: str) -> InMemoryMesh:
+    """Returns an OBJ file with material and texture that Drake renders.
+
+    Args:
+        textured: the mesh.
+        label: how Drake calls it in messages.
+    """
+    mesh = trimesh.Trimesh(textured.vertices, textured.faces, process=False)
+    lines = ["mtllib material.mtl", "usemtl textured"]
+    lines += [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in textured.vertices]
+    lines += [f"vt {u:.6g} {v:.6g}" for u, v in textured.uv]
+    lines += [f"vn {x:.4g} {y:.4g} {z:.4g}" for x, y, z in mesh.vertex_normals]
+    lines += [
+        f"f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}" for a, b, c in mesh.faces + 1
+    ]
+    pixels = cv2.cvtColor(textured.image, cv2.COLOR_RGB2BGR)
+    encoded = cv2.imencode(".png", pixels)[1].tobytes()
+    return InMemoryMesh(
+        mesh_file=MemoryFile(
+            contents="\n".join(lines) + "\n",
+            extension=".obj",
+            filename_hint=label,
+        ),
+        supporting_files={
+            "material.mtl": MemoryFile(
+                contents="newmtl textured\nKd 1 1 1\nmap_Kd texture.png\n",
+                extension=".mtl",
+                filename_hint=f"{label} material",
+            ),
+            "texture.png": MemoryFile(
+                contents=encoded,
+                extension=".png",
+                filename_hint=f"{label} texture",
+            ),
+        },
     )
 
 

@@ -1,16 +1,21 @@
 """Writes objects as SDFormat files that Drake reads.
 
-``python -m xray_drake.scene.sdf`` rewrites the targets in ``models/targets``.
+``python -m xray_drake.scene.sdf`` rewrites ``models/targets``,
+``models/bin`` and ``models/tote``.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import trimesh
+from pydrake.math import RigidTransform, RollPitchYaw
 
+from xray_drake.cell.bin import OpenBox
+from xray_drake.cell.cell import Cell
 from xray_drake.choices import TARGET_NAMES
 from xray_drake.resources import models_dir
 from xray_drake.scene.contact import (
@@ -18,8 +23,12 @@ from xray_drake.scene.contact import (
     hydroelastic_modulus,
 )
 from xray_drake.scene.object_model import ObjectModel, shaded
+from xray_drake.scene.plant import BIN_COLOR, BIN_FRICTION, TOTE_COLOR
 from xray_drake.scene.shapes import box_of
 from xray_drake.scene.targets import target_model
+
+_PLASTIC = 300.0
+"""Density of bin and tote, hollow walls and all, kg/m³."""
 
 DRAKE_NAMESPACE = "http://drake.mit.edu"
 
@@ -46,7 +55,7 @@ def write_sdf(model: ObjectModel, folder: Path) -> Path:
     link = SubElement(
         SubElement(root, "model", name=model.name), "link", name=model.name
     )
-    _add_inertial(link, model)
+    _add_mass(link, model.p_OCom, model.mass, model.inertia)
 
     visual = SubElement(link, "visual", name="visual")
     if not _add_box(visual, np.asarray(model.visual.vertices)):
@@ -65,11 +74,66 @@ def write_sdf(model: ObjectModel, folder: Path) -> Path:
             SubElement(mesh, _drake("declare_convex"))
         _add_proximity(collision, vertices, model)
 
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
-    path = folder / f"{stem}.sdf"
-    path.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8")
-    return path
+    return _write(root, folder / f"{stem}.sdf")
+
+
+def write_open_box(
+    name: str, box: OpenBox, color: Sequence[float], folder: Path
+) -> Path:
+    """Writes ``NAME.sdf`` of a bin or a tote, to be welded to the world.
+
+    Args:
+        name: of model and link.
+        box: the bin or tote; its frame is the link's.
+        color: (4,) red, green, blue, opacity, in [0, 1].
+        folder: where to write; made if it does not exist.
+
+    Returns:
+        The path of the SDFormat file.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
+    root = Element("sdf", version="1.9")
+    link = SubElement(SubElement(root, "model", name=name), "link", name=name)
+    whole: Any = trimesh.util.concatenate(
+        [
+            trimesh.creation.box(slab.size, slab.X_BS)
+            for slab in box.slabs()
+            if slab.seen
+        ]
+    )
+    whole.density = _PLASTIC
+    _add_mass(link, whole.center_mass, whole.mass, whole.moment_inertia)
+    for kind in ("visual", "collision"):
+        for slab in box.slabs():
+            if kind == "visual" and not slab.seen:
+                continue
+            part = SubElement(link, kind, name=slab.name)
+            X_BS = RigidTransform(slab.X_BS)
+            SubElement(part, "pose").text = _numbers(
+                [*X_BS.translation(), *RollPitchYaw(X_BS.rotation()).vector()]
+            )
+            size = SubElement(SubElement(part, "geometry"), "box")
+            SubElement(size, "size").text = _numbers(slab.size)
+            if kind == "visual":
+                material = SubElement(part, "material")
+                SubElement(material, "diffuse").text = _numbers(color)
+                continue
+            properties = SubElement(part, _drake("proximity_properties"))
+            SubElement(properties, _drake("rigid_hydroelastic"))
+            for mu in ("mu_dynamic", "mu_static"):
+                SubElement(properties, _drake(mu)).text = _numbers(
+                    [BIN_FRICTION]
+                )
+    return _write(root, folder / f"{name}.sdf")
+
+
+def write_cell(cell: Cell, folder: Path) -> list[Path]:
+    """Writes ``bin/bin.sdf`` and ``tote/tote.sdf`` into a folder."""
+    return [
+        write_open_box("bin", cell.bin, BIN_COLOR, folder / "bin"),
+        write_open_box("tote", cell.tote, TOTE_COLOR, folder / "tote"),
+    ]
 
 
 def write_targets(folder: Path) -> list[Path]:
@@ -77,15 +141,24 @@ def write_targets(folder: Path) -> list[Path]:
     return [write_sdf(target_model(name), folder) for name in TARGET_NAMES]
 
 
-def _add_inertial(link: Element, model: ObjectModel) -> None:
+def _write(root: Element, path: Path) -> Path:
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
+    path.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8")
+    return path
+
+
+def _add_mass(
+    link: Element, p_BCom: np.ndarray, mass: float, moments: np.ndarray
+) -> None:
     inertial = SubElement(link, "inertial")
-    SubElement(inertial, "pose").text = _numbers([*model.p_OCom, 0, 0, 0])
-    SubElement(inertial, "mass").text = _numbers([model.mass])
+    SubElement(inertial, "pose").text = _numbers([*p_BCom, 0, 0, 0])
+    SubElement(inertial, "mass").text = _numbers([mass])
     inertia = SubElement(inertial, "inertia")
     for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         entry = SubElement(inertia, f"i{'xyz'[i]}{'xyz'[j]}")
-        largest = np.abs(model.inertia).max()
-        value = model.inertia[i, j]
+        largest = np.abs(moments).max()
+        value = moments[i, j]
         entry.text = _numbers([value if abs(value) > 1e-6 * largest else 0])
 
 
@@ -141,11 +214,11 @@ def _numbers(values: Sequence[float] | np.ndarray) -> str:
 
 
 def main() -> None:
-    """Rewrites ``models/targets``."""
+    """Rewrites ``models/targets``, ``models/bin`` and ``models/tote``."""
     folder = models_dir() / "targets"
     for old in (*folder.glob("*.sdf"), *folder.glob("*.obj")):
         old.unlink()
-    for path in write_targets(folder):
+    for path in (*write_targets(folder), *write_cell(Cell(), models_dir())):
         print(path)
 
 

@@ -70,7 +70,7 @@ class SleepMonitor:
 
     A heap that fell asleep is close to rest but not at rest: what was locked
     under load gives way when it wakes. Wake all, and look whether they move,
-    before relying on it (:func:`xray_drake.scene.heap.drop_heap` does).
+    before relying on it (:func:`xray_drake.scene.drop.drop_heap` does).
 
     Movers are bodies of another kind, a gripper's: they never sleep, and what
     is near them, or near what is drawn of them (a suction cup's lip is soft and

@@ -1,20 +1,32 @@
-"""The targets that are searched for: ten boxes, three things, two tall ones.
+"""The targets that are searched for: named ones, and any mesh or size.
 
-The boxes and things are PROTOCOL.md's. All are red, weigh 600 kg/m³ and have
-their body origin at the centre of their bounding box, with x along the length,
-y along the width and z along the thickness, or upwards.
+Named are ten boxes, three things and two tall ones. The boxes and things are
+PROTOCOL.md's. All are red, weigh 600 kg/m³ and have their body origin at the
+centre of their bounding box, with x along the length, y along the width and z
+along the thickness, or upwards.
 """
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
+import cv2
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
 from xray_drake.choices import BOX_TARGETS, TALL_TARGETS, TARGET_NAMES
 from xray_drake.geometry.resting import resting_poses, standing
-from xray_drake.scene.object_model import ObjectModel, object_from_pieces
+from xray_drake.scene.meshes.files import printable
+from xray_drake.scene.meshes.formats import FORMATS
+from xray_drake.scene.meshes.importer import import_mesh
+from xray_drake.scene.object_model import (
+    ObjectModel,
+    Origin,
+    object_from_pieces,
+)
 from xray_drake.scene.shapes import Solid, arc, box, cylinder, prism
 
 TARGET_COLOR = (0.8, 0.05, 0.05, 1.0)
@@ -54,13 +66,143 @@ def target_model(name: str) -> ObjectModel:
         solid = box(0.03 * ratio**0.5, 0.03 / ratio**0.5, 0.005)
     else:
         solid = _SHAPES[name]()
-    return object_from_pieces(
+    model = object_from_pieces(
         name,
         list(solid.surfaces),
         density=TARGET_DENSITY,
         collision=list(solid.hulls),
         color=TARGET_COLOR,
         recenter=False,
+    )
+    return replace(model, origin=Origin(name))
+
+
+_SIZE = re.compile(
+    r"(\d+\.?\d*)x(\d+\.?\d*)x(\d+\.?\d*)(mm|cm|m)", re.IGNORECASE
+)
+_UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+_THINNEST_SIDE, _LONGEST_SIDE = 0.003, 0.3
+"""m, of a target."""
+
+
+def target_complaint(target: str) -> str:
+    """Returns what is wrong with the way a target is asked for, or nothing.
+
+    Args:
+        target: see :func:`make_target`. Whether a file is there is not asked.
+    """
+    if target in (*TARGET_NAMES, *TALL_TARGETS):
+        return ""
+    if found := _SIZE.fullmatch(target):
+        sides = _sides(found)
+        if min(sides) < _THINNEST_SIDE or max(sides) > _LONGEST_SIDE:
+            return (
+                f"the sides of a target must be from {1e3 * _THINNEST_SIDE:g} "
+                f"to {1e3 * _LONGEST_SIDE:g} mm"
+            )
+        return ""
+    if not is_mesh(target):
+        return (
+            f"choose one of {', '.join((*TARGET_NAMES, *TALL_TARGETS))}, or "
+            "give a mesh file, or a size as 70x40x12mm"
+        )
+    return ""
+
+
+def target_name(target: str) -> str:
+    """Returns what a target is called; see :func:`make_target`."""
+    return printable(Path(target).stem) if is_mesh(target) else target
+
+
+def is_mesh(target: str) -> bool:
+    """Says whether a target is a mesh file, there or not."""
+    return Path(target).suffix.lower() in FORMATS
+
+
+@cache
+def make_target(
+    target: str,
+    *,
+    scale: float = 1.0,
+    mass: float = 0.0,
+    color: tuple[float, ...] = (),
+) -> ObjectModel:
+    """Makes a target of a name, a size or a mesh.
+
+    Its body frame has the origin at the centre of its bounding box, x along
+    its length, y along its width, and z up as it most probably lies.
+
+    Args:
+        target: one of ``TARGET_NAMES`` or ``TALL_TARGETS``; three lengths of a
+            box, as in "70x40x12mm", with mm, cm or m; or a mesh file.
+        scale: metres per unit of the file.
+        mass: kg; 0 stands for 600 kg/m³.
+        color: red, green, blue in [0, 1]; none stands for red.
+
+    Raises:
+        ValueError: there is no such target, or the file cannot be used.
+    """
+    if said := target_complaint(target):
+        raise ValueError(f"target {target!r}: {said}")
+    if target in (*TARGET_NAMES, *TALL_TARGETS):
+        model = target_model(target)
+    elif found := _SIZE.fullmatch(target):
+        length, width, thickness = _sides(found)
+        model = object_from_pieces(
+            target,
+            list(box(length, width, thickness).surfaces),
+            density=TARGET_DENSITY,
+            color=TARGET_COLOR,
+            recenter=False,
+        )
+        model = replace(model, origin=Origin(target))
+    else:
+        path = Path(target)
+        model = import_mesh(
+            path, target_name(target), scale=scale, density=TARGET_DENSITY
+        )
+        model = replace(laid(model), color=TARGET_COLOR, textured=None)
+    if mass > 0:
+        factor = mass / model.mass
+        model = replace(model, mass=mass, inertia=factor * model.inertia)
+    if color:
+        red, green, blue = color
+        model = replace(model, color=(red, green, blue, 1.0))
+    return model
+
+
+def _sides(found: re.Match[str]) -> tuple[float, ...]:
+    """Returns length, width and thickness, the longest first, m."""
+    *numbers, unit = found.groups()
+    lengths = [_UNITS[unit.lower()] * float(number) for number in numbers]
+    return tuple(sorted(lengths, reverse=True))
+
+
+def laid(model: ObjectModel) -> ObjectModel:
+    """Turns an object's frame so that z is up as it most probably lies.
+
+    Its origin comes to the middle of the bounding box, x along the length.
+    """
+    R_BO = resting_poses(model.visual, model.p_OCom)[0].R_WO
+    turned = model.visual.vertices @ R_BO.T
+    around = cv2.minAreaRect(turned[:, :2].astype(np.float32))
+    _, (a, b), degrees = around
+    yaw = np.deg2rad(degrees if a >= b else degrees + 90)
+    c, s = np.cos(yaw), np.sin(yaw)
+    R_BO = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R_BO
+    turned = model.visual.vertices @ R_BO.T
+    p_BO = -(turned.min(axis=0) + turned.max(axis=0)) / 2
+    visual = trimesh.Trimesh(turned + p_BO, model.visual.faces, process=False)
+    X_BO = np.eye(4)
+    X_BO[:3, :3], X_BO[:3, 3] = R_BO, p_BO
+    origin = model.origin
+    return replace(
+        model,
+        origin=origin._replace(X_FO=origin.X_FO @ np.linalg.inv(X_BO)),
+        visual=visual,
+        pieces=tuple(piece @ R_BO.T + p_BO for piece in model.pieces),
+        p_OCom=R_BO @ model.p_OCom + p_BO,
+        inertia=R_BO @ model.inertia @ R_BO.T,
     )
 
 
@@ -165,7 +307,7 @@ def size_in_any_pose(target: ObjectModel) -> np.ndarray:
     Returns:
         (3,) length, width, thickness, m.
     """
-    if target.name not in TALL_TARGETS:
+    if target.is_flat:
         return target.extents
     diagonal = float(np.linalg.norm(target.extents))
     areas = [

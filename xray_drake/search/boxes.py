@@ -9,7 +9,9 @@ from pydrake.systems.framework import OutputPort
 from xray_drake.grasping.evidence.depth import DepthEvidence
 from xray_drake.grasping.planner import GraspPlanner
 from xray_drake.occupancy.inference import make_inference
-from xray_drake.occupancy.system import OccupancyInference, OccupancyModel
+from xray_drake.occupancy.observation import OccupancyModel
+from xray_drake.occupancy.scaled import usual_scale
+from xray_drake.occupancy.system import OccupancyInference
 from xray_drake.perception.systems import (
     DepthInstanceSegmenter,
     GroundTruthInstanceSegmenter,
@@ -96,7 +98,11 @@ def add_perception(boxes: Boxes, inside: SearchParts) -> None:
     )
     boxes.add(
         lambda: (
-            DepthInstanceSegmenter(config=config.depth_segmenter, **size)
+            DepthInstanceSegmenter(
+                bin_=scenario.cell.bin,
+                config=config.depth_segmenter,
+                **size,
+            )
             if config.segmenter == "depth"
             else GroundTruthInstanceSegmenter(labels=labels)
         ),
@@ -204,6 +210,7 @@ def _policy(
     if from_depth:
         planner = GraspPlanner(
             DepthEvidence(
+                bin_=scenario.cell.bin,
                 parameters=gripper.parameters,
                 config=gripper.depth_planner,
                 seed=scenario.seed,
@@ -228,7 +235,7 @@ def _memory(inside: SearchParts) -> TargetMemory:
     perception = inside.scenario.perception
     return TargetMemory(
         size_in_any_pose(inside.heap.target),
-        perception.geometric.floor,
+        inside.scenario.cell.bin.floor,
         names_last=perception.segmenter != "depth",
     )
 
@@ -238,7 +245,9 @@ def _inference(scenario: Scenario, target: ObjectModel) -> OccupancyModel:
     return make_inference(
         perception.occupancy,
         target,
+        floor=scenario.cell.bin.floor,
         geometric=perception.geometric,
         weights=weights_path(perception),
         dtype=perception.dtype,
+        scale=perception.scale or usual_scale(scenario.camera.width),
     )

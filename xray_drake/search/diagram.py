@@ -111,6 +111,7 @@ def build_search_diagram(
     planner = GraspPlanner(
         ModelEvidence(
             heap.models,
+            bin_=scenario.cell.bin,
             parameters=scenario.gripper.parameters,
             config=scenario.gripper.planner,
             seed=scenario.seed,
@@ -122,8 +123,7 @@ def build_search_diagram(
         builder, scenario, station, parts, heap, planner, meshcat=meshcat
     )
     truth = _images(station, scenario.camera.name)
-    boxes = Boxes(builder, replaced, truth)
-    add_perception(boxes, inside)
+    add_perception(boxes := Boxes(builder, replaced, truth), inside)
     truth["body_poses"] = station.GetOutputPort("cheat.body_poses")
     status = controller.GetOutputPort("status")
     action = add_decision(boxes, inside, truth, status, agent=agent)

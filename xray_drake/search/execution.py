@@ -80,6 +80,7 @@ def _quasi_static(
             bodies=bodies,
             geometry=load_gripper_geometry(),
             opening=scenario.gripper.parameters.opening,
+            cell=scenario.cell,
             config=scenario.gripper.quasi_static,
             seed=scenario.seed,
             time_step=scenario.plant_config.time_step,
@@ -108,6 +109,7 @@ def _contact(
     controller = builder.AddSystem(
         GripperController(
             gripper=gripper,
+            tote=scenario.cell.placed_tote,
             config=config.contact,
             force=parameters.force,
             time_step=time_step,

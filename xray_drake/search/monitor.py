@@ -18,7 +18,6 @@ from xray_drake.messages import (
     SearchAction,
 )
 from xray_drake.policy.registry import POLICIES
-from xray_drake.scene.plant import BIN_WALL_HEIGHT, inside_bin, inside_tote
 from xray_drake.scene.sleep_monitor import SleepMonitor
 from xray_drake.search.diagram import AGENT, SearchDiagram
 from xray_drake.search.record import ActionRecord, SearchRecord
@@ -73,6 +72,8 @@ class SearchMonitor:
         self._diagram = diagram
         self._observers = observers
         self._target = diagram.heap.target
+        self._bin = diagram.scenario.cell.bin
+        self._tote = diagram.scenario.cell.placed_tote
         self._action = diagram.GetOutputPort("search_policy.action")
         self._status = diagram.GetOutputPort("gripper_controller.status")
         gripper = station.gripper
@@ -186,13 +187,13 @@ class SearchMonitor:
     def _is_clear(self, context: Context) -> bool:
         X = self._target_pose(context)
         lowest = (self._target.visual.vertices @ X[2, :3]).min() + X[2, 3]
-        return bool(lowest >= BIN_WALL_HEIGHT + LIFT_CLEARANCE)
+        return bool(lowest >= self._bin.wall_height + LIFT_CLEARANCE)
 
     def _end(self, context: Context, status: GripperStatus) -> str:
         p_WT = self._target_pose(context)[:3, 3]
-        if self._by_contact and self._cleared and inside_tote(p_WT):
+        if self._by_contact and self._cleared and self._tote.holds(p_WT):
             return "success"
-        if not inside_bin(p_WT):
+        if not self._bin.is_over(p_WT):
             return "target_lost"
         action: SearchAction = self._action.Eval(context)
         if status.outcome is Outcome.NO_GRASP and not action.invalid:
@@ -251,11 +252,13 @@ class SearchMonitor:
             name: poses[index].translation()
             for name, index in self._diagram.station.labels.items()
         }
-        removed = {n for n, p_WO in places.items() if not inside_bin(p_WO)}
+        removed = {
+            n for n, p_WO in places.items() if not self._bin.is_over(p_WO)
+        }
         brought = {action.object} if outcome is Outcome.LIFTED else set()
         if self._by_contact:
             gone = removed - self._removed
-            brought = {name for name in gone if inside_tote(places[name])}
+            brought = {name for name in gone if self._tote.holds(places[name])}
             outcome, reason = judge_outcome(
                 outcome, reason, action.object, brought
             )

@@ -23,7 +23,7 @@ from xray_drake.scene.heap import Heap
 from xray_drake.scene.parsing import configure_parser
 from xray_drake.scene.plant import (
     PlantObject,
-    add_bin,
+    add_cell,
     add_objects,
     add_plant,
 )
@@ -68,14 +68,15 @@ def build_heap_station(
 
     - ``overhead.color_image``, ``overhead.depth_image`` (ImageDepth32F, m),
       ``overhead.label_image`` (ImageLabel16I, body indices);
-    - ``overhead.camera``: PinholeCamera;
+    - ``overhead.camera``: PinholeCamera; and the same four of each other
+      camera of the cell, by its name;
     - ``query_object``, ``contact_results``;
     - ``carrier.state`` (2 n), ``fingers.state`` (4), by contact;
     - ``cheat.body_poses``, ``cheat.body_spatial_velocities``: ground truth,
       which a real robot does not have.
 
     Args:
-        scenario: its camera, physics, execution and publishing period are used.
+        scenario: its cell, physics, execution and publishing period are used.
         heap: what lies in the bin.
         meshcat: shows the station, if given. Drake's
             ``ApplyVisualizationConfig`` is not used: it also sends to LCM.
@@ -85,13 +86,15 @@ def build_heap_station(
     """
     builder = DiagramBuilder()
     plant, scene_graph = add_plant(builder, scenario.plant_config)
-    add_bin(plant, with_tote=True)
+    add_cell(plant, scenario.cell)
     items = add_objects(plant, heap.models, contact=scenario.scene.contact)
     for item in items:
         item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))
     gripper = None
     if scenario.gripper.execution == "contact":
-        gripper = add_gripper(plant, carrier=scenario.gripper.carrier)
+        gripper = add_gripper(
+            plant, carrier=scenario.gripper.carrier, cell=scenario.cell
+        )
         add_grip_surfaces(plant, scene_graph, gripper, items)
     plant.Finalize()
     if gripper is None:
@@ -107,12 +110,14 @@ def build_heap_station(
     _export_plant(builder, plant, gripper)
     query = scene_graph.get_query_output_port()
     builder.ExportOutput(query, "query_object")
-    name = scenario.camera.name
-    sensor, camera = add_camera(builder, scene_graph, scenario.camera)
-    for image in ("color_image", "depth_image", "label_image"):
-        port = image.replace("depth_image", "depth_image_32f")
-        builder.ExportOutput(sensor.GetOutputPort(port), f"{name}.{image}")
-    builder.ExportOutput(camera.get_output_port(), f"{name}.camera")
+    for config in (scenario.camera, *scenario.cell.cameras.values()):
+        sensor, camera = add_camera(builder, scene_graph, config)
+        for image in ("color_image", "depth_image", "label_image"):
+            port = sensor.GetOutputPort(
+                image.replace("depth_image", "depth_image_32f")
+            )
+            builder.ExportOutput(port, f"{config.name}.{image}")
+        builder.ExportOutput(camera.get_output_port(), f"{config.name}.camera")
     station = builder.Build()
     station.set_name("heap_station")
     parts = StationParts(

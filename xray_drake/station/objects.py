@@ -1,5 +1,6 @@
 """Chooses what lies in the bin of a scenario."""
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,19 +8,27 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import poisson
 
-from xray_drake.scene.heap import Heap, HeapError, drop_heap
+from xray_drake.scene.drop import drop_heap, release_heap
+from xray_drake.scene.heap import (
+    Heap,
+    HeapError,
+)
+from xray_drake.scene.heap_file import AT_REST, RESERVED, load_heap_file
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.object_model import ObjectModel
 from xray_drake.scene.packaging import PACKAGED
-from xray_drake.scene.targets import target_model
+from xray_drake.scene.targets import make_target, target_name
 from xray_drake.seeding import stream
+from xray_drake.station.config import RandomNumber
 from xray_drake.station.scenario import (
-    RandomNumber,
     Scenario,
     ScenarioError,
 )
 from xray_drake.station.start import look_at_heap
+from xray_drake.trees import read_text, read_tree
+
+_logger = logging.getLogger(__name__)
 
 _MOST_REDRAWS = 50
 """So many heaps in a row that show too much of the target are given up."""
@@ -145,6 +154,9 @@ def make_heap(
         HeapError: heap after heap failed, or showed too much of the target.
     """
     most_visible = scenario.scene.most_visible
+    if scenario.scene.heap_file:
+        return _heap_of_file(scenario, progress)
+    target = scenario_target(scenario)
     if library is None:
         library = imported_objects(scenario)
     attempts = 0
@@ -156,9 +168,10 @@ def make_heap(
             drawn = replace(scenario, seed=int(rng.integers(2**62)))
         objects = choose_objects(drawn, library)
         heap = drop_heap(
-            target_model(scenario.scene.target),
+            target,
             objects,
             drawn.seed,
+            bin_=scenario.cell.bin,
             config=scenario.scene.heap,
             contact=scenario.scene.contact,
             snapshots=snapshot_counts(len(objects), snapshots),
@@ -185,6 +198,121 @@ def make_heap(
         f"than {most_visible:.0%} of the target was seen: drop more objects, "
         "or raise scene.most_visible"
     )
+
+
+def _heap_of_file(
+    scenario: Scenario, progress: Callable[[float], None] | None
+) -> Heap:
+    """Lets the objects of a heap file come to rest.
+
+    Raises:
+        ScenarioError: the file cannot be used, or does not fit the cell.
+        HeapError: the heap does not come to rest.
+    """
+    scene = scenario.scene
+    file = load_heap_file(
+        Path(scene.heap_file), time_limit=scene.mesh_time_limit
+    )
+    file.check_fits(scenario.cell.bin)
+    check_target(scenario, file.target)
+    if file.release == AT_REST:
+        return file.heap()
+    heap = release_heap(
+        file.target,
+        file.objects,
+        file.poses,
+        release=file.release,
+        order=file.order,
+        bin_=scenario.cell.bin,
+        config=scene.heap,
+        contact=scene.contact,
+        plant_config=scenario.plant_config,
+        progress=progress,
+    )
+    lost = sorted(set(file.order) - set(heap.poses))
+    if lost:
+        _logger.warning(
+            "%s: fell out of the bin: %s", scene.heap_file, ", ".join(lost)
+        )
+    return heap
+
+
+def check_heaps(scenario: Scenario) -> None:
+    """Checks what a scenario's heaps are made of, before one is dropped.
+
+    Raises:
+        ScenarioError: the target or the heap file cannot be used.
+    """
+    if not scenario.scene.heap_file:
+        scenario_target(scenario)
+        return
+    path = Path(scenario.scene.heap_file)
+    file = load_heap_file(path, time_limit=scenario.scene.mesh_time_limit)
+    file.check_fits(scenario.cell.bin)
+    check_target(scenario, file.target)
+
+
+def name_of_target(scenario: Scenario) -> str:
+    """Returns what the target of a scenario's heaps is called.
+
+    Raises:
+        ScenarioError: a heap file that cannot be read.
+    """
+    scene = scenario.scene
+    if scene.heap_file:
+        path = Path(scene.heap_file)
+        return str(read_tree(read_text(path), str(path)).get("target", ""))
+    return target_name(scene.target)
+
+
+def scenario_target(scenario: Scenario) -> ObjectModel:
+    """Returns the target of a scenario.
+
+    Raises:
+        ScenarioError: it cannot be made, does not fit into the bin, or is
+            nothing that the scenario's inference can look for.
+    """
+    scene = scenario.scene
+    try:
+        target = make_target(
+            scene.target,
+            scale=scene.target_scale,
+            mass=scene.target_mass,
+            color=tuple(scene.target_color),
+        )
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
+    check_target(scenario, target)
+    return target
+
+
+def check_target(scenario: Scenario, target: ObjectModel) -> None:
+    """Checks that a target fits into a scenario's bin, and its inference.
+
+    Raises:
+        ScenarioError: it does not.
+    """
+    if target.name in RESERVED:
+        raise ScenarioError(
+            f"the target is called {target.name!r}, as a part of the cell is: "
+            "give its file another name"
+        )
+    length, width = np.sort(target.extents[:2])[::-1]
+    bin_ = scenario.cell.bin
+    room = np.sort([bin_.length, bin_.width])[::-1]
+    if length > room[0] or width > room[1]:
+        raise ScenarioError(
+            f"the target {target.name} is {1e3 * length:.0f} × "
+            f"{1e3 * width:.0f} mm, and the bin {1e3 * room[0]:.0f} × "
+            f"{1e3 * room[1]:.0f} mm: is scene.target_scale right?"
+        )
+    flat_only = scenario.perception.occupancy == "geometric_label"
+    if flat_only and not target.is_flat:
+        raise ScenarioError(
+            f"the target {target.name} need not lie flat, and "
+            "perception.occupancy: geometric_label takes it to: choose "
+            "geometric"
+        )
 
 
 def snapshot_counts(num_objects: int, snapshots: int) -> tuple[int, ...]:

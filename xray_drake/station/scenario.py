@@ -1,216 +1,73 @@
 """The scenario: one YAML file says all that a search depends on."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from pydrake.common.yaml import yaml_dump, yaml_load_typed
-from pydrake.multibody.plant import MultibodyPlantConfig
+import numpy as np
+from pydrake.multibody.parsing import LoadModelDirectives
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig
 from pydrake.visualization import VisualizationConfig
 
+from xray_drake.cell.cameras import LENS, CameraSampling, nominal_camera
+from xray_drake.cell.cell import (
+    Cell,
+    cell_differences,
+    cell_tree,
+    load_cell,
+)
+from xray_drake.cell.drake_rules import (
+    CONTACT_APPROXIMATIONS,
+    CONTACT_MODELS,
+    DRAKE_RULES,
+)
+from xray_drake.cell.names import SUFFIXES, cell_path
 from xray_drake.choices import (
-    CARRIERS,
-    DETECTORS,
-    DTYPES,
-    EXECUTIONS,
-    GRASPS,
-    MESH_TIME_LIMIT,
-    OCCUPANCIES,
-    SEGMENTERS,
-    TALL_TARGETS,
-    TARGET_NAMES,
     WITHOUT_NETWORK,
     current_occupancy,
 )
 from xray_drake.configuration import (
     SEEDS,
-    ConfigurationError,
+    build,
     check,
     check_tree,
-    choice,
     count,
     differences,
     fields_of,
-    number,
-    path_field,
-    path_list,
-    read_text,
-    read_tree,
     tree_of,
     with_paths,
-    write_tree,
 )
 from xray_drake.faults import BREAKDOWNS
-from xray_drake.grasping.evidence.depth import DepthPlannerConfig
-from xray_drake.grasping.evidence.model import ModelPlannerConfig
-from xray_drake.grasping.gripper_geometry import GripperParameters
-from xray_drake.gripper.actuation.contact import ExecutionConfig
-from xray_drake.gripper.actuation.ideal import QuasiStaticConfig
-from xray_drake.gripper.suction import SuctionConfig
 from xray_drake.occupancy.geometric.config import (
-    GeometricConfig,
     check_label,
 )
-from xray_drake.occupancy.learned.fcn_resnet50 import SIZE_STEP
 from xray_drake.occupancy.learned.inference import default_weights
 from xray_drake.occupancy.learned.weights import WeightsError, read_card
-from xray_drake.perception.depth_noise import DepthNoise
-from xray_drake.perception.depth_segmenter import DepthSegmenterConfig
-from xray_drake.perception.hsv_target import HsvTargetConfig
 from xray_drake.policy.registry import POLICIES, PolicyError
 from xray_drake.resources import models_dir
-from xray_drake.scene.cameras import (
-    CameraSampling,
-    check_renderer,
-    check_view,
-    nominal_camera,
+from xray_drake.scene.meshes.textures import is_red
+from xray_drake.scene.plant import default_plant_config
+from xray_drake.scene.targets import is_mesh
+from xray_drake.station.config import (
+    GripperConfig,
+    PerceptionConfig,
+    PolicyConfig,
+    SceneConfig,
 )
-from xray_drake.scene.contact import ContactConfig
-from xray_drake.scene.heap import HeapConfig
-from xray_drake.scene.plant import add_plant, default_plant_config
-from xray_drake.splits import SPLITS
-from xray_drake.station.drake_rules import (
-    CONTACT_APPROXIMATIONS,
-    CONTACT_MODELS,
-    DRAKE_RULES,
-    IN_ORDER,
+from xray_drake.trees import (
+    ConfigurationError,
+    read_text,
+    read_tree,
+    write_tree,
 )
-
-MOST_OBJECTS = 100
-"""Distractors that a scenario may ask for."""
-
-_OBJECTS = f"[1, {MOST_OBJECTS}]"
-
 
 ScenarioError = ConfigurationError
 """A scenario that cannot be used; the message is one line."""
-
-
-@dataclass(slots=True)
-class RandomNumber:
-    """How many distractors: Poisson, truncated (paper section IV.A)."""
-
-    # Mean before truncation; at 0 the number is not random.
-    mean: float = number(0.0, f"[0, {MOST_OBJECTS}]")
-    # Least and most.
-    least: int = count(10, _OBJECTS)
-    most: int = count(15, _OBJECTS)
-
-
-@dataclass(slots=True)
-class SceneConfig:
-    """What lies in the bin."""
-
-    # Name of the target: one of TARGET_NAMES or TALL_TARGETS in
-    # xray_drake.choices.
-    target: str = choice("box_2to1", (*TARGET_NAMES, *TALL_TARGETS))
-    # How many distractors are dropped on it.
-    num_objects: int = count(14, _OBJECTS)
-    # Or their number is drawn anew for each heap.
-    random_number: RandomNumber = field(default_factory=RandomNumber)
-    # Which of the procedural distractors: "train", "validation" or "test".
-    split: str = choice("train", SPLITS)
-    # Those that come on a backing card as well are drawn from, too.
-    packaged: bool = False
-    # Share of packaged objects among those drawn; at 0 as many as there are.
-    packaged_share: float = number(0.0, "[0, 1]")
-    # Folders of meshes that replace the procedural distractors.
-    meshes: list[str] = path_list()
-    # Factor from the meshes' unit to metres.
-    mesh_scale: float = number(1.0, "(0, 1000000]")
-    # s that preparing one of the meshes may take; it is left out if it takes
-    # longer.
-    mesh_time_limit: float = number(MESH_TIME_LIMIT, "(0, 1000000]")
-    # A heap whose target starts more visible than this is drawn again; at 1
-    # all heaps count.
-    most_visible: float = number(1.0, "[0, 1]")
-    # How they are dropped.
-    heap: HeapConfig = field(default_factory=HeapConfig)
-    # Their material.
-    contact: ContactConfig = field(default_factory=ContactConfig)
-
-
-@dataclass(slots=True)
-class PerceptionConfig:
-    """Which perception systems look at the images."""
-
-    # Finds the target's modal mask: "ground_truth", or "hsv" by its colour.
-    detector: str = choice("ground_truth", DETECTORS)
-    # Finds the modal masks of all objects: "ground_truth", or "depth" by the
-    # shape of what is seen.
-    segmenter: str = choice("ground_truth", SEGMENTERS)
-    # The depth image is as a real sensor gives it.
-    noise: bool = False
-    # Infers the occupancy distribution: "learned" by a network; "posterior",
-    # by a network too, but as probable as heaps have taught it; "geometric", by
-    # counting all poses that explain the image; or "geometric_label", by what
-    # those poses say of the paper's label.
-    occupancy: str = choice("learned", OCCUPANCIES)
-    # File of a network's weights, or a folder of networks of one box each; by
-    # default the one that travels with the package.
-    weights: str = path_field()
-    # What the network computes in: "float32", or "bfloat16", which is faster
-    # where the processor has instructions for it, but not the same search.
-    dtype: str = choice(DTYPES[0], DTYPES)
-    # Settings of "geometric" and "geometric_label".
-    geometric: GeometricConfig = field(default_factory=GeometricConfig)
-    # Settings of "hsv".
-    hsv: HsvTargetConfig = field(default_factory=HsvTargetConfig)
-    # Settings of "depth".
-    depth_segmenter: DepthSegmenterConfig = field(
-        default_factory=DepthSegmenterConfig
-    )
-    # Settings of the noise.
-    depth_noise: DepthNoise = field(default_factory=DepthNoise)
-
-
-@dataclass(slots=True)
-class PolicyConfig:
-    """Which object is grasped next."""
-
-    # One of POLICIES in xray_drake.policy.registry, or module:object.
-    name: str = "xray"
-    # Grasp the target as soon as a grasp on it exists.
-    target_first: bool = True
-    # Objects with fewer visible pixels are not candidates.
-    min_visible_pixels: int = count(50, "[0, 100000000]")
-    # A weaker grasp counts only where no candidate that hides anything has one
-    # as good as this.
-    min_grasp_quality: float = number(0.2, "[0, 1]")
-
-
-@dataclass(slots=True)
-class GripperConfig:
-    """How grasps are planned and executed."""
-
-    # How grasps are planned: "models", from the objects' models and poses, or
-    # "depth", from the depth image alone.
-    grasps: str = choice("models", GRASPS)
-    # How grasps are executed: "quasi_static", where an ideal gripper lifts what
-    # the analysis says would hold; or "contact", with fingers and suction cup.
-    execution: str = choice("quasi_static", EXECUTIONS)
-    # What carries the gripper of "contact": "wrist", three slides and three
-    # turns; or "arm", seven turning joints that do not reach everywhere.
-    carrier: str = choice("wrist", CARRIERS)
-    # What the gripper can do.
-    parameters: GripperParameters = field(default_factory=GripperParameters)
-    # How "models" searches for grasps.
-    planner: ModelPlannerConfig = field(default_factory=ModelPlannerConfig)
-    # How "depth" does.
-    depth_planner: DepthPlannerConfig = field(
-        default_factory=DepthPlannerConfig
-    )
-    # How "quasi_static" perturbs, judges and moves.
-    quasi_static: QuasiStaticConfig = field(default_factory=QuasiStaticConfig)
-    # How "contact" moves, and when it gives up.
-    contact: ExecutionConfig = field(default_factory=ExecutionConfig)
-    # The suction cup of "contact".
-    suction: SuctionConfig = field(default_factory=SuctionConfig)
 
 
 @dataclass(slots=True, eq=False)
@@ -224,9 +81,9 @@ class Scenario:
     # Actions at most (the paper's H).
     horizon: int = count(10, "[1, 10000]")
     scene: SceneConfig = field(default_factory=SceneConfig)
-    # The overhead camera. Its images are rendered when they are looked at:
-    # fps, rgb, depth and label say nothing here.
-    camera: CameraConfig = field(default_factory=nominal_camera)
+    # Bin, tote, cameras, gripper: their fields, or in YAML the name of a cell
+    # that comes with the package, or a file.
+    cell: Cell = field(default_factory=Cell)
     # How cameras are drawn around it, for datasets.
     camera_sampling: CameraSampling = field(default_factory=CameraSampling)
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
@@ -252,19 +109,75 @@ class Scenario:
             return NotImplemented
         return tree_of(self) == tree_of(other)
 
-    def __reduce__(self) -> tuple[Any, tuple[str]]:
-        """Pickles it as YAML: Drake's structs cannot be pickled."""
-        return _from_yaml, (yaml_dump(tree_of(self)),)
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        """Pickles it as keys and values: Drake's structs cannot be."""
+        return build, (Scenario, tree_of(self), self.name)
 
+    @property
+    def camera(self) -> CameraConfig:
+        """The cell's overhead camera."""
+        return self.cell.overhead
 
-def _from_yaml(text: str) -> Scenario:
-    return yaml_load_typed(schema=Scenario, data=text)
+    def complaints(self) -> Iterator[str]:
+        """Yields what is wrong between its fields."""
+        perception = self.perception
+        for owner, said in _unused(self):
+            yield f"{owner}.{said}, which nothing here looks at: leave it out"
+        if perception.occupancy == "geometric_label":
+            try:
+                check_label(perception.geometric)
+            except ValueError as error:
+                yield f"perception.{error}"
+            if perception.geometric.poses == "resting":
+                yield (
+                    f"perception.geometric.poses is "
+                    f"{perception.geometric.poses}, but perception.occupancy: "
+                    "geometric_label takes the target to lie flat; choose "
+                    "poses: flat, or occupancy: geometric"
+                )
+        if perception.segmenter == "depth" and self.gripper.grasps == "models":
+            yield (
+                "perception.segmenter is depth, but gripper.grasps is models: "
+                "of what is found in depth no model is known; choose "
+                "gripper.grasps: depth"
+            )
+        color = self.scene.target_color
+        if (
+            perception.detector == "hsv"
+            and color
+            and not is_red(np.array(color))
+        ):
+            yield (
+                f"scene.target_color is {color}, and perception.detector: hsv "
+                "finds what is red: choose ground_truth, or a red"
+            )
+        if self.gripper.execution == "contact":
+            # First: Drake's own message does not say what to choose.
+            yield from _contact_complaints(self)
+        try:
+            AddMultibodyPlant(
+                config=self.plant_config, builder=DiagramBuilder()
+            )
+        except BREAKDOWNS as error:
+            yield f"plant_config: {' '.join(str(error).split())}"
 
 
 def scenario_names() -> tuple[str, ...]:
     """Returns the names of the scenarios that come with the package."""
     folder = models_dir() / "scenarios"
     return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
+
+
+def _scenario_path(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if path.suffix not in SUFFIXES and not path.is_file():
+        path = models_dir() / "scenarios" / f"{name_or_path}.yaml"
+        if not path.is_file():
+            raise ScenarioError(
+                f"no scenario {str(name_or_path)!r}: choose one of "
+                f"{', '.join(scenario_names())}, or give a YAML file"
+            )
+    return path
 
 
 def load_scenario(
@@ -280,17 +193,21 @@ def load_scenario(
         ScenarioError: no such scenario or file; not YAML; a key that does not
             exist, named with its path; a value of the wrong kind.
     """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml") and not path.is_file():
-        path = models_dir() / "scenarios" / f"{name_or_path}.yaml"
-        if not path.is_file():
-            raise ScenarioError(
-                f"no scenario {str(name_or_path)!r}: choose one of "
-                f"{', '.join(scenario_names())}, or give a YAML file"
-            )
+    path = _scenario_path(name_or_path)
     return parse_scenario(
         read_text(path), str(path), searched=searched, folder=path.parent
     )
+
+
+def says_occupancy(name_or_path: str | Path) -> bool:
+    """Says whether a scenario names its inference; see :func:`load_scenario`.
+
+    Raises:
+        ScenarioError: it cannot be read.
+    """
+    path = _scenario_path(name_or_path)
+    perception = read_tree(read_text(path), str(path)).get("perception")
+    return isinstance(perception, dict) and "occupancy" in perception
 
 
 def parse_scenario(
@@ -312,21 +229,28 @@ def parse_scenario(
     Raises:
         ScenarioError: as :func:`load_scenario`.
     """
-    tree = _renamed(read_tree(text, source))
+    tree = _renamed(read_tree(text, source), source)
+    named = tree.pop("cell") if isinstance(tree.get("cell"), str) else ""
+    if isinstance(tree.get("cell"), dict):
+        tree["cell"] = cell_tree(tree["cell"])
     check_tree(tree, Scenario, source, DRAKE_RULES)
-    try:
-        scenario = _from_yaml(yaml_dump(tree))
-    except Exception as error:
-        why = " ".join(str(error).split())
-        raise ScenarioError(f"{source}: {why}") from error
+    scenario = build(Scenario, tree, source)
     if folder is not None:
         scenario = with_paths(scenario, folder)
+    if named:
+        scenario.cell = load_cell(cell_path(named, folder or Path()))
+    if "occupancy" not in tree.get("perception", {}):
+        scenario.perception.occupancy = usual_occupancy(scenario)
     check_scenario(scenario, source, searched=searched)
     return scenario
 
 
-def _renamed(tree: dict[str, Any]) -> dict[str, Any]:
-    """Gives what version 0.1 called otherwise its name of today, in place."""
+def _renamed(tree: dict[str, Any], source: str) -> dict[str, Any]:
+    """Gives what version 0.1 called otherwise its name of today, in place.
+
+    Raises:
+        ScenarioError: it says where the bin's floor is; the cell does now.
+    """
     perception = tree.get("perception")
     if isinstance(perception, dict):
         name = perception.get("occupancy")
@@ -334,6 +258,25 @@ def _renamed(tree: dict[str, Any]) -> dict[str, Any]:
             perception["occupancy"] = current_occupancy(name)
         if "exact" in perception and "geometric" not in perception:
             perception["geometric"] = perception.pop("exact")
+        for name in ("geometric", "depth_segmenter"):
+            part = perception.get(name)
+            if isinstance(part, dict) and "floor" in part:
+                raise ScenarioError(
+                    f"{source}: perception.{name}.floor is now the cell's bin: "
+                    "cell: {bin: {length: …, width: …}}"
+                )
+    if "camera" in tree and isinstance(tree.setdefault("cell", {}), dict):
+        camera = tree.pop("camera")
+        if isinstance(camera, dict):
+            # Its lens did not follow its size.
+            nominal = tree_of(nominal_camera())
+            camera = {key: nominal[key] for key in LENS} | camera
+        if not isinstance(perception, dict):
+            perception = tree.setdefault("perception", {})
+        if isinstance(perception, dict):
+            # Nor did the inference follow it.
+            perception.setdefault("occupancy", "learned")
+        tree["cell"].setdefault("overhead", camera)
     return tree
 
 
@@ -343,7 +286,13 @@ def dump_scenario(scenario: Scenario) -> str:
     Defaults are left out, since Drake's own configs gain and lose fields from
     version to version.
     """
-    return write_tree(differences(tree_of(scenario), tree_of(Scenario())))
+    tree = differences(tree_of(scenario), tree_of(Scenario()))
+    if "cell" in tree:
+        tree["cell"] = cell_differences(scenario.cell)
+        # Elsewhere than in the nominal cell the default is another.
+        perception = tree.setdefault("perception", {})
+        perception["occupancy"] = scenario.perception.occupancy
+    return write_tree(tree)
 
 
 def record_scenario(scenario: Scenario) -> str:
@@ -360,19 +309,34 @@ def check_scenario(
         scenario: to be checked.
         source: where it came from, for messages.
         searched: a search is to be run: the policy must be known, and the
-            network's weights be there and fit the camera. What was recorded
-            elsewhere can be read, and heaps be dropped, without.
+            network's weights be there. What was recorded elsewhere can be
+            read, and heaps be dropped, without.
 
     Raises:
         ScenarioError: a choice that does not exist or a number out of range.
     """
     check(scenario, source, DRAKE_RULES)
-    for said in _conflicts(scenario, searched=searched):
+    if not searched:
+        return
+    for said in _missing_files(scenario):
         raise ScenarioError(f"{source}: {said}")
+    try:
+        POLICIES[scenario.policy.name]
+    except PolicyError as error:
+        raise ScenarioError(f"{source}: policy.name: {error}") from error
+    perception = scenario.perception
+    path = weights_path(perception)
+    if perception.occupancy not in WITHOUT_NETWORK and not path.is_dir():
+        try:
+            read_card(path)
+        except WeightsError as error:
+            raise ScenarioError(
+                f"{source}: perception.weights: {error}"
+            ) from error
 
 
 _UNUSED = {
-    "camera": ("capture_offset", "output_delay"),
+    "cell.overhead": ("capture_offset", "output_delay"),
     "visualization": tuple(
         name
         for name in fields_of(VisualizationConfig)
@@ -382,87 +346,46 @@ _UNUSED = {
 """Of Drake's structs, what would change a search or its pictures elsewhere."""
 
 
-def _conflicts(scenario: Scenario, *, searched: bool) -> Iterator[str]:
-    """Yields what does not go together, each in one line."""
-    usual, perception = Scenario(), scenario.perception
+def _unused(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yields what is set, but has no effect."""
+    defaults = Scenario()
     for owner, names in _UNUSED.items():
+        given, usual = (
+            tree_of(attrgetter(owner)(chosen))
+            for chosen in (scenario, defaults)
+        )
         for name in names:
-            path = f"{owner}.{name}"
-            given, default = (attrgetter(path)(s) for s in (scenario, usual))
-            if given != default:
-                yield (
-                    f"{path} is {given}, which nothing here looks at: leave "
-                    "it out"
-                )
-    for low, high in IN_ORDER:
-        least, most = (attrgetter(path)(scenario) for path in (low, high))
-        if least > most:
-            yield f"{low} is {least}: it must be at most {most}, {high}"
-    if perception.occupancy == "geometric_label":
-        label = perception.geometric
-        yield from _refused("perception.", ValueError, check_label, label)
-        if label.poses != "flat":
-            yield (
-                f"perception.geometric.poses is {label.poses}, but "
-                "perception.occupancy: geometric_label takes the target to lie "
-                "flat; choose poses: flat, or occupancy: geometric"
-            )
-    if scenario.scene.packaged_share > 0 and not scenario.scene.packaged:
-        yield "scene.packaged_share needs scene.packaged: true"
-    if perception.segmenter == "depth" and scenario.gripper.grasps == "models":
-        yield (
-            "perception.segmenter is depth, but gripper.grasps is models: of "
-            "what is found in depth no model is known; choose gripper.grasps: "
-            "depth"
-        )
-    if not scenario.camera.name:
-        yield "camera.name is empty"
-    if searched:
-        name = scenario.policy.name
-        yield from _refused(
-            "policy.name: ", PolicyError, POLICIES.__getitem__, name
-        )
-        yield from _unfit_weights(perception, scenario.camera)
-    for checked in (check_renderer, check_view):
-        yield from _refused(
-            "camera: ", (*BREAKDOWNS, ValueError), checked, scenario.camera
-        )
-    if scenario.gripper.execution == "contact":
-        # First: Drake's own message does not say what to choose.
-        yield from _unfit_for_contact(scenario, usual)
-    plant = DiagramBuilder(), scenario.plant_config
-    yield from _refused("plant_config: ", BREAKDOWNS, add_plant, *plant)
+            if given[name] != usual[name]:
+                yield owner, f"{name} is {given[name]}"
 
 
-def _refused(
-    prefix: str,
-    kinds: type[Exception] | tuple[type[Exception], ...],
-    function: Callable[..., object],
-    *arguments: object,
-) -> Iterator[str]:
-    """Yields, in one line, what a function says that refuses its arguments."""
-    try:
-        function(*arguments)
-    except kinds as error:
-        yield prefix + " ".join(str(error).split())
+def _missing_files(scenario: Scenario) -> Iterator[str]:
+    """Yields what a heap is made of and cannot be read."""
+    scene, directives = scenario.scene, scenario.cell.directives
+    for key, path in (
+        ("scene.target", is_mesh(scene.target) and scene.target),
+        ("scene.heap_file", scene.heap_file),
+        ("cell.directives", directives),
+    ):
+        if path and not Path(path).is_file():
+            yield f"{key} is {path!r}: there is no such file"
+    if directives:
+        try:
+            LoadModelDirectives(directives)
+        except BREAKDOWNS as error:
+            yield f"cell.directives: {' '.join(str(error).split())}"
 
 
-def _unfit_weights(
-    perception: PerceptionConfig, camera: CameraConfig
-) -> Iterator[str]:
-    if perception.occupancy in WITHOUT_NETWORK:
-        return
-    if camera.width % SIZE_STEP or camera.height % SIZE_STEP:
-        yield (
-            f"camera: images of {camera.width} x {camera.height}, "
-            f"but a network takes multiples of {SIZE_STEP}: choose such a "
-            "size, or perception.occupancy: geometric"
-        )
-    path = weights_path(perception)
-    if not path.is_dir():
-        yield from _refused(
-            "perception.weights: ", WeightsError, read_card, path
-        )
+def usual_occupancy(scenario: Scenario) -> str:
+    """Returns what infers the distribution where a scenario does not say.
+
+    The shipped network has seen one bin and one kind of camera; elsewhere, and
+    where no other weights are given, it is geometric inference.
+    """
+    perception = scenario.perception
+    if perception.weights or scenario.cell.looks_nominal():
+        return "learned"
+    return "geometric"
 
 
 def weights_path(perception: PerceptionConfig) -> Path:
@@ -471,15 +394,15 @@ def weights_path(perception: PerceptionConfig) -> Path:
     return Path(given) if given else default_weights()
 
 
-def _unfit_for_contact(scenario: Scenario, usual: Scenario) -> Iterator[str]:
-    """Yields what does not suit the gripper in the plant."""
+def _contact_complaints(scenario: Scenario) -> Iterator[str]:
+    """Yields what the gripper in the plant cannot do with."""
     for name in ("pad_width", "pad_height"):
         path = f"gripper.parameters.{name}"
-        given, built = (attrgetter(path)(s) for s in (scenario, usual))
+        given, built = (attrgetter(path)(s) for s in (scenario, Scenario()))
         if given != built:
             yield (
-                f"gripper.execution is contact, but {path} is "
-                f"{given}: the gripper in the plant has {built}"
+                f"gripper.execution is contact, but {path} is {given}: the "
+                f"gripper in the plant has {built}"
             )
     for key, wanted in (
         ("contact_model", CONTACT_MODELS[1:]),
@@ -488,6 +411,6 @@ def _unfit_for_contact(scenario: Scenario, usual: Scenario) -> Iterator[str]:
         value = getattr(scenario.plant_config, key)
         if value not in wanted:
             yield (
-                f"gripper.execution is contact, but plant_config."
-                f"{key} is {value!r}: choose one of {', '.join(wanted)}"
+                f"gripper.execution is contact, but plant_config.{key} is "
+                f"{value!r}: choose one of {', '.join(wanted)}"
             )

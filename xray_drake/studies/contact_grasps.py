@@ -23,6 +23,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+from xray_drake.cell.bin import Bin
+from xray_drake.cell.cell import Cell
 from xray_drake.grasping.candidates import Failures
 from xray_drake.grasping.evidence.model import ModelEvidence
 from xray_drake.grasping.judgement import GRAVITY, JudgedGrasp
@@ -38,7 +40,6 @@ from xray_drake.scene.heap import Heap
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.meshes.importer import import_meshes
 from xray_drake.scene.object_model import ObjectModel
-from xray_drake.scene.plant import inside_bin, inside_tote
 from xray_drake.scene.targets import target_model
 from xray_drake.search.execution import add_execution
 from xray_drake.seeding import stream
@@ -163,7 +164,7 @@ def _measure(
     trials = []
     for grasp, judged in (
         _draw_grasps(model, X_WO, SEED + rest)
-        if inside_bin(X_WO[:3, 3])
+        if Bin().is_over(X_WO[:3, 3])
         else ()
     ):
         if not loads:
@@ -294,7 +295,7 @@ class GraspCell:
         builder = DiagramBuilder()
         station, self._parts = build_heap_station(scenario, heap)
         builder.AddSystem(station)
-        execution = add_execution(
+        self._controller, *_ = add_execution(
             builder,
             scenario,
             station,
@@ -302,7 +303,6 @@ class GraspCell:
             heap,
             GraspPlanner(ModelEvidence([model])),
         )
-        self._controller = execution.controller
         builder.ExportInput(self._controller.GetInputPort("action"), "action")
         self._diagram: Diagram = builder.Build()
         self._weight = GRAVITY * model.mass
@@ -340,7 +340,7 @@ class GraspCell:
             "judged": f"{judged.quality:.2f}" if held else judged.reason,
             "load": self._weight / judged.holding if judged.holding else None,
             "tilt": float(np.rad2deg(np.arccos(-grasp.X_WG[2, 2]))),
-            "brought": bool(inside_tote(X[:3, 3])),
+            "brought": bool(Cell().placed_tote.holds(X[:3, 3])),
             "outcome": status.outcome.value,
             "reason": status.reason,
             "turned": turned,

@@ -16,8 +16,14 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scipy.stats import ks_2samp
 
+from xray_drake.cell.bin import Bin
 from xray_drake.scene.contact import ContactConfig
-from xray_drake.scene.heap import Heap, HeapConfig, HeapError, drop_heap
+from xray_drake.scene.drop import drop_heap
+from xray_drake.scene.heap import (
+    Heap,
+    HeapConfig,
+    HeapError,
+)
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.plant import (
     add_bin,
@@ -113,7 +119,7 @@ def _motion(heap: Heap, contact: ContactConfig) -> dict[str, list[float]]:
     """Returns how deep bodies overlap and how far they move in 1 s, mm."""
     builder = DiagramBuilder()
     plant, _ = add_plant(builder, default_plant_config())
-    add_bin(plant)
+    add_bin(plant, Bin())
     items = add_objects(plant, heap.models, contact=contact, visible=False)
     for item in items:
         item.joint.SetDefaultPose(RigidTransform(heap.poses[item.name]))

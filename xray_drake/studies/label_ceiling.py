@@ -70,7 +70,7 @@ class PoseWalk:
     def __init__(
         self, sample: Sample, target: VirtualTarget, rng: np.random.Generator
     ) -> None:
-        self._camera = sample.camera
+        self._camera, self._floor = sample.camera, sample.floor
         self._scene = sample.depth_without_target
         self._target, self._rng = target, rng
         self.pose = np.array(sample.X_WT)
@@ -100,8 +100,7 @@ class PoseWalk:
         ).matrix()
         pose[:3, :3] = turn @ pose[:3, :3]
         pose[:2, 3] += self._rng.normal(0.0, length, 2)
-        low_x, high_x, low_y, high_y = LabelConfig().floor
-        inside = low_x < pose[0, 3] < high_x and low_y < pose[1, 3] < high_y
+        inside = self._floor.contains(pose[:2, 3])
         if inside and self._is_alike(self.depth(pose)):
             self.pose = pose
 
@@ -157,6 +156,7 @@ def _score(item: Line, *, dataset: Path, weights: Path | None) -> Line:
                 sample.depth_without_target,
                 sample.camera,
                 poses.pose[:3, 3],
+                floor=sample.floor,
             ).distribution
         )
     stack = np.array(found)
@@ -167,10 +167,19 @@ def _score(item: Line, *, dataset: Path, weights: Path | None) -> Line:
         "best": ANSWERS[np.argmax(within, axis=0)],
     }
     seen = sample.depth, sample.target_modal, sample.camera
-    guess = make_inference("geometric_label", target_model(sample.target_name))
+    guess = make_inference(
+        "geometric_label",
+        target_model(sample.target_name),
+        floor=sample.floor,
+    )
     answers["guess"] = guess.infer(*seen).data
     if weights is not None:
-        network = make_inference("learned", sample.target_size, weights=weights)
+        network = make_inference(
+            "learned",
+            sample.target_size,
+            floor=sample.floor,
+            weights=weights,
+        )
         answers["network"] = network.infer(*seen).data
     return {
         "target": sample.target_name,

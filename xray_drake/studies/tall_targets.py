@@ -17,7 +17,7 @@ from xray_drake.choices import TALL_TARGETS
 from xray_drake.dataset.pictures import Photographer, Picture
 from xray_drake.geometry.resting import RestingPose, resting_poses
 from xray_drake.geometry.silhouette import project_mesh_mask
-from xray_drake.occupancy.geometric.config import POSES, GeometricConfig
+from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.geometric.inference import GeometricInference
 from xray_drake.occupancy.label.ground_truth import occupancy_label
 from xray_drake.occupancy.metrics import pixel_counts
@@ -27,6 +27,9 @@ from xray_drake.scene.targets import target_model
 from xray_drake.station.objects import make_heap
 from xray_drake.station.scenario import Scenario
 from xray_drake.studies.study import Line, Study, Table
+
+_KINDS = ("flat", "resting")
+"""Poses of geometric inference."""
 
 FIRST_SEED = 50_000
 OBJECTS = 6
@@ -58,7 +61,9 @@ def _measure(item: Line) -> Line:
     scenario.scene.packaged_share = 1.0
     scenario.scene.heap.offset_sigma = 0.03
     heap = make_heap(scenario)
-    photographer = Photographer(heap.target, heap.objects, scenario.camera)
+    photographer = Photographer(
+        heap.target, heap.objects, scenario.camera, scenario.cell.bin
+    )
     photographer.place(heap)
     picture = photographer.take()
     X_WT = heap.poses[heap.target.name]
@@ -78,7 +83,7 @@ def _measure(item: Line) -> Line:
         "visible": float(modal.sum() / amodal.sum()),
         "pose": true,
     }
-    for kind in POSES:
+    for kind in _KINDS:
         model = GeometricInference(
             target_model(item["target"]), GeometricConfig(kind)
         )
@@ -111,7 +116,7 @@ def _label(
     Returns:
         (H, W) float32 in [0, 1].
     """
-    alone = Photographer(heap.target, (), scenario.camera, bin_visible=False)
+    alone = Photographer(heap.target, (), scenario.camera, None)
     X_WT = heap.poses[heap.target.name]
     total = np.zeros(picture.depth.shape)
     for k, pose in enumerate(poses):
@@ -151,7 +156,7 @@ def tall_tables(lines: list[Line]) -> Mapping[str, Table]:
                 for line in lines
                 if line["target"] == target and line["visible"] <= most
             ]
-            for poses in POSES if chosen else ():
+            for poses in _KINDS if chosen else ():
                 held, iou, support, seconds = np.array(
                     [
                         [line[poses][key] for line in chosen]

@@ -7,7 +7,6 @@ from typing import Any
 
 from xray_drake.choices import BOX_TARGETS
 from xray_drake.configuration import (
-    ConfigurationError,
     build,
     check,
     check_tree,
@@ -15,13 +14,12 @@ from xray_drake.configuration import (
     count,
     number,
     path_field,
-    read_text,
-    read_tree,
     with_paths,
 )
 from xray_drake.occupancy.learned.weights import INPUTS
 from xray_drake.resources import models_dir
 from xray_drake.training.prepare import PrepareConfig
+from xray_drake.trees import ConfigurationError, read_text, read_tree
 
 _OPTIMIZERS = ("adamw", "sgd")
 _LOSSES = ("robust", "mse")
@@ -153,7 +151,7 @@ def load_config(name: str) -> TrainConfig:
         check_tree(tree, TrainConfig, str(path))
     except ConfigurationError as error:
         raise TrainingError(str(error)) from error
-    config = with_paths(build(TrainConfig, tree), path.parent)
+    config = with_paths(build(TrainConfig, tree, str(path)), path.parent)
     check_config(config, str(path))
     return config
 

@@ -2,20 +2,18 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xray_drake.choices import DTYPES, TALL_TARGETS, WITHOUT_NETWORK
 from xray_drake.dataset.sample import Sample
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.messages import OccupancyDistribution
 from xray_drake.occupancy.geometric.config import GeometricConfig
 from xray_drake.occupancy.inference import make_inference
+from xray_drake.occupancy.observation import OccupancyModel
 from xray_drake.scene.targets import target_model
 from xray_drake.training.evaluation import Predictor
-
-if TYPE_CHECKING:
-    from xray_drake.occupancy.system import OccupancyModel
 
 
 def predictor(
@@ -43,13 +41,16 @@ def predictor(
     """
 
     @lru_cache(maxsize=16)
-    def prepared(target: str | tuple[float, ...]) -> "OccupancyModel":
+    def prepared(
+        target: str | tuple[float, ...], floor: Floor
+    ) -> OccupancyModel:
         tall = name == "geometric" and target in TALL_TARGETS
         return make_inference(
             name,
             target_model(target)
             if isinstance(target, str)
             else np.array(target),
+            floor=floor,
             geometric=GeometricConfig("resting" if tall else "flat"),
             weights=weights,
             dtype=dtype,
@@ -60,7 +61,8 @@ def predictor(
         model = prepared(
             sample.target_name
             if name in WITHOUT_NETWORK
-            else tuple(sample.target_size.tolist())
+            else tuple(sample.target_size.tolist()),
+            sample.floor,
         )
         return model.infer(sample.depth, sample.target_modal, sample.camera)
 

@@ -303,7 +303,9 @@ def sample_item(
     if rng.random() < config.miscalibrated:
         camera = _miscalibrated(camera, config, rng)
     size = sample.target_size
-    inputs = geometry_input(seen.depth, seen.modal, camera, float(size[2]))
+    inputs = geometry_input(
+        seen.depth, seen.modal, camera, float(size[2]), sample.floor
+    )
     item = make_item(inputs, occupancy, seen.amodal)
     return item, size_features(size, seen.modal, camera)
 

@@ -9,7 +9,6 @@ the same from fewer images, and need not search for poses afterwards.
 """
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -17,16 +16,15 @@ import trimesh
 from xray_drake.choices import TALL_TARGETS, TARGET_NAMES
 from xray_drake.dataset.sample import Sample
 from xray_drake.dataset.virtual import is_virtual, virtual_target
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.occupancy.geometric.config import (
     GeometricConfig,
     GeometricLabelConfig,
 )
 from xray_drake.occupancy.inference import make_inference
+from xray_drake.occupancy.observation import OccupancyModel
 from xray_drake.scene.object_model import ObjectModel, object_from_pieces
 from xray_drake.scene.targets import target_model
-
-if TYPE_CHECKING:
-    from xray_drake.occupancy.system import OccupancyModel
 
 _SLACK = 0.05
 """The network's answers are off by about this; see ``GeometricLabelConfig``."""
@@ -52,7 +50,7 @@ def expected_occupancy(sample: Sample) -> np.ndarray:
     if is_virtual(name):
         inference = _virtual_inference(sample)
     elif name in TARGET_NAMES and name not in TALL_TARGETS:
-        inference = _named_inference(name)
+        inference = _named_inference(name, sample.floor)
     else:
         return sample.occupancy
     return inference.infer(
@@ -61,19 +59,23 @@ def expected_occupancy(sample: Sample) -> np.ndarray:
 
 
 @cache
-def _named_inference(name: str) -> "OccupancyModel":
-    return _inference(target_model(name))
+def _named_inference(name: str, floor: Floor) -> OccupancyModel:
+    return _inference(target_model(name), floor)
 
 
-def _virtual_inference(sample: Sample) -> "OccupancyModel":
+def _virtual_inference(sample: Sample) -> OccupancyModel:
     """Each virtual target is another."""
     target = virtual_target(sample)
     mesh = trimesh.Trimesh(target.vertices).convex_hull
-    return _inference(object_from_pieces(target.name, [mesh], density=_DENSITY))
+    model = object_from_pieces(target.name, [mesh], density=_DENSITY)
+    return _inference(model, sample.floor)
 
 
-def _inference(target: ObjectModel) -> "OccupancyModel":
+def _inference(target: ObjectModel, floor: Floor) -> OccupancyModel:
     label = GeometricLabelConfig(slack=_SLACK)
     return make_inference(
-        "geometric_label", target, geometric=GeometricConfig(label=label)
+        "geometric_label",
+        target,
+        floor=floor,
+        geometric=GeometricConfig("flat", label=label),
     )

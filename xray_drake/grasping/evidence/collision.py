@@ -15,7 +15,6 @@ from pydrake.geometry import (
     SceneGraphInspector,
 )
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
     CoulombFriction,
@@ -23,11 +22,12 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import RigidBody, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
+from xray_drake.cell.bin import Bin
 from xray_drake.grasping.evidence.approach_shape import box_points
 from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.messages import GraspKind
-from xray_drake.resources import models_dir
 from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.plant import add_bin
 
 _POINT_SPACING = 0.0249
 """Of the points that stand for the bin, m."""
@@ -85,6 +85,7 @@ class GraspScene:
         gripper: GripperGeometry,
         approach_distance: float = 0.10,
         cup_standoff: float = 0.002,
+        bin_: Bin | None = None,
     ) -> None:
         """Builds the scene.
 
@@ -93,6 +94,7 @@ class GraspScene:
             gripper: its frames and boxes.
             approach_distance: length of the straight approach, m.
             cup_standoff: the cup's box ends this far before its lip, m.
+            bin_: in which they lie; by default the nominal cell's.
 
         Raises:
             ValueError: two objects with the same name.
@@ -106,18 +108,8 @@ class GraspScene:
         builder = DiagramBuilder()
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
         self._plant = plant
-        (bin_instance,) = Parser(plant).AddModels(
-            models_dir() / "bin" / "bin.sdf"
-        )
-        bin_bodies = [
-            plant.get_body(i) for i in plant.GetBodyIndices(bin_instance)
-        ]
-        plant.WeldFrames(plant.world_frame(), bin_bodies[0].body_frame())
-        bin_ids = [
-            geometry
-            for body in bin_bodies
-            for geometry in plant.GetCollisionGeometriesForBody(body)
-        ]
+        bin_body = add_bin(plant, bin_ or Bin())
+        bin_ids = plant.GetCollisionGeometriesForBody(bin_body)
         self._owner: dict[GeometryId, str] = dict.fromkeys(bin_ids, "bin")
         inspector = scene_graph.model_inspector()
         self.bin_points = np.concatenate(
@@ -141,7 +133,7 @@ class GraspScene:
         plant.Finalize()
 
         tools = [self._base, *fingers, self._suction]
-        for group in ([*self._objects.values(), *bin_bodies], tools):
+        for group in ([*self._objects.values(), bin_body], tools):
             scene_graph.collision_filter_manager().Apply(
                 CollisionFilterDeclaration().ExcludeWithin(
                     plant.CollectRegisteredGeometries(group)

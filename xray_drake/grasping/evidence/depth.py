@@ -11,6 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from xray_drake.cell.bin import Bin
 from xray_drake.configuration import count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.candidates import (
@@ -131,6 +132,7 @@ class DepthEvidence:
     def __init__(
         self,
         *,
+        bin_: Bin | None = None,
         parameters: GripperParameters | None = None,
         config: DepthPlannerConfig | None = None,
         seed: int = 0,
@@ -138,10 +140,12 @@ class DepthEvidence:
         """Prepares what is the same for all images.
 
         Args:
+            bin_: in which the heap lies; by default the nominal cell's.
             parameters: of the gripper.
             config: of the search.
             seed: of the perturbations that grasps are rehearsed with.
         """
+        self.bin = bin_ or Bin()
         self.config = config or DepthPlannerConfig()
         self.gripper = GripperModel(parameters, self.config.judgement)
         self.seed = seed
@@ -193,9 +197,11 @@ class SeenEvidence:
         self._walls, self._normals = wall_points(self._rims)
         camera, shapes = surface.whole_camera, evidence.shapes
         self._X_WC = camera.X_WC
-        self._space = FreeSpace(surface.whole, camera, shapes)
+        self._space = FreeSpace(surface.whole, camera, shapes, evidence.bin)
         others = np.where(_own_pixels(surface), np.inf, surface.whole)
-        self._others = FreeSpace(others, camera, shapes, levels=(0.0,))
+        self._others = FreeSpace(
+            others, camera, shapes, evidence.bin, levels=(0.0,)
+        )
         self.X_OW = np.eye(4)
         self.enough = np.inf
         self.center = surface.object_points.mean(axis=0)

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from xray_drake.cell.bin import Bin
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.evidence.approach_shape import ApproachShape
 from xray_drake.messages import GraspKind
-from xray_drake.scene.plant import BIN_FLOOR_X, BIN_FLOOR_Y, BIN_WALL_HEIGHT
 
 ROOM_LEVELS = (0.0, 0.002, 0.004, 0.008)
 """Distances from the surface, across the view, that are told apart, m."""
@@ -50,23 +50,21 @@ def lower_floor(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     return np.where(height < _FLOOR_NOISE, below, depth)
 
 
-def bin_room(points_W: np.ndarray) -> np.ndarray:
+def bin_room(points_W: np.ndarray, bin_: Bin) -> np.ndarray:
     """Returns how far from the bin's walls points stay.
 
     Beyond the walls' inside and below their top all is taken as full.
 
     Args:
         points_W: (n, 3, m) in the world, m.
+        bin_: the bin.
 
     Returns:
         (n,) the least distance, across or above the walls, m.
     """
-    x, y, z = np.moveaxis(points_W, 1, 0)
-    inside = np.minimum(
-        np.minimum(x - BIN_FLOOR_X[0], BIN_FLOOR_X[1] - x),
-        np.minimum(y - BIN_FLOOR_Y[0], BIN_FLOOR_Y[1] - y),
-    )
-    return np.maximum(inside, z - BIN_WALL_HEIGHT).min(axis=1)
+    points_W = np.moveaxis(points_W, 1, -1)
+    above = points_W[..., 2] - bin_.wall_height
+    return np.maximum(bin_.distance_to_walls(points_W), above).min(axis=1)
 
 
 class FreeSpace:
@@ -77,6 +75,7 @@ class FreeSpace:
         depth: np.ndarray,
         camera: PinholeCamera,
         shapes: Mapping[GraspKind, ApproachShape],
+        bin_: Bin,
         *,
         levels: Sequence[float] = ROOM_LEVELS,
     ) -> None:
@@ -87,10 +86,12 @@ class FreeSpace:
                 nothing.
             camera: of the image.
             shapes: of each kind of grasp.
+            bin_: in which the heap lies.
             levels: rooms to tell apart, rising, m.
         """
         self._shape = camera.shape
         self._shapes = shapes
+        self._bin = bin_
         self._levels = np.array(levels)
         self._projection = camera.intrinsics @ np.linalg.inv(camera.X_WC)[:3]
         shown = np.isfinite(depth)
@@ -218,7 +219,8 @@ class FreeSpace:
             count[alive[hit]] = level
         alive = np.flatnonzero(count)
         walls = bin_room(
-            shape.transform(part, _IDENTITY, X_WG[alive], opening[alive])
+            shape.transform(part, _IDENTITY, X_WG[alive], opening[alive]),
+            self._bin,
         )
         keeps = np.searchsorted(
             self._levels + _WALL_MARGIN, walls, side="right"

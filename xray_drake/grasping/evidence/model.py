@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xray_drake.cell.bin import Bin
 from xray_drake.configuration import count
 from xray_drake.grasping.candidates import (
     AntipodalPairs,
@@ -89,6 +90,7 @@ class ModelEvidence:
         self,
         objects: Sequence[ObjectModel],
         *,
+        bin_: Bin | None = None,
         parameters: GripperParameters | None = None,
         config: ModelPlannerConfig | None = None,
         seed: int = 0,
@@ -97,6 +99,7 @@ class ModelEvidence:
 
         Args:
             objects: all that can be in the heap.
+            bin_: in which it lies; by default the nominal cell's.
             parameters: of the gripper.
             config: of the search.
             seed: of the samples.
@@ -108,6 +111,7 @@ class ModelEvidence:
         self.scene = GraspScene(
             objects,
             gripper=self.gripper.geometry,
+            bin_=bin_,
             approach_distance=self.config.judgement.approach_distance,
             cup_standoff=self.config.judgement.cup_standoff,
         )

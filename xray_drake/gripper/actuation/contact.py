@@ -1,11 +1,13 @@
 """How a grasp is carried out by contact: guarded motion, pads and cup."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 
-from xray_drake.configuration import number
+from xray_drake.cell.bin import Tote
+from xray_drake.configuration import in_order, number
 from xray_drake.gripper.carriers.carrier import Carrier, Tracking
 from xray_drake.gripper.carriers.paths import Leg, Path, stay
 from xray_drake.gripper.suction import CupState
@@ -14,7 +16,6 @@ from xray_drake.gripper.transfer import (
     Phase,
     TransferError,
     TransferState,
-    tote_slot,
 )
 from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import Grasp, GraspKind, Outcome
@@ -71,6 +72,10 @@ class ExecutionConfig:
     stuck_distance: float = number(0.015, "(0, 1]")
     # The whole action takes no longer than this, s.
     give_up: float = number(20.0, "(0, 3600]")
+
+    def complaints(self) -> Iterator[str]:
+        """Yields what is wrong between its fields."""
+        yield from in_order(self, "lost", "sealed")
 
 
 class Step(Enum):
@@ -143,6 +148,7 @@ class ContactActuation(Actuation[ContactState, Measured]):
     def __init__(
         self,
         gripper: YumiGripper,
+        tote: Tote,
         config: ExecutionConfig | None = None,
         *,
         force: float = 20.0,
@@ -152,11 +158,13 @@ class ContactActuation(Actuation[ContactState, Measured]):
 
         Args:
             gripper: limits and frames; the plant is not touched.
+            tote: where objects are put down.
             config: how it moves and when it gives up.
             force: squeeze of each finger, N; no more than it can.
             period: between two updates, s.
         """
         self._gripper = gripper
+        self._tote = tote
         self._config = config = config or ExecutionConfig()
         self._force = min(force, gripper.finger_force)
         self._period = period
@@ -394,7 +402,7 @@ class ContactActuation(Actuation[ContactState, Measured]):
         return self._carrier.over(
             q,
             X_TG[:3, 3],
-            tote_slot(state.carried),
+            self._tote.slot(state.carried),
             lowest=self._release_height(state),
         )
 

@@ -12,6 +12,7 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context
 
+from xray_drake.cell.cell import Cell
 from xray_drake.configuration import number
 from xray_drake.grasping.gripper_geometry import GripperGeometry
 from xray_drake.grasping.judgement import JudgedGrasp
@@ -20,17 +21,14 @@ from xray_drake.gripper.motion import Grip, Segment, straight
 from xray_drake.gripper.system import TransferSystem
 from xray_drake.gripper.transfer import (
     HOLDING,
-    HOME,
     LIFT_CLEARANCE,
     Actuation,
     Phase,
     TransferError,
     TransferState,
-    tote_slot,
 )
 from xray_drake.messages import Grasp, Outcome
 from xray_drake.scene.object_model import ObjectModel
-from xray_drake.scene.plant import BIN_WALL_HEIGHT, over_tote
 from xray_drake.scene.rest import RestTest, corners_in_cell
 from xray_drake.seeding import stream
 
@@ -124,11 +122,14 @@ class IdealActuation(Actuation[IdealState, Measured]):
         self,
         judge: Judge,
         models: Mapping[str, ObjectModel],
+        cell: Cell,
         config: QuasiStaticConfig,
         seed: int,
     ) -> None:
-        """Takes judge, objects by name, motions, and the errors' seed."""
+        """Takes judge, objects by name, cell, motions, and the errors' seed."""
         self._judge = judge
+        self._bin, self._tote = cell.bin, cell.placed_tote
+        self._home = cell.X_WH
         self._models = models
         self._config = config
         self._seed = seed
@@ -142,7 +143,8 @@ class IdealActuation(Actuation[IdealState, Measured]):
     def initial(self) -> IdealState:
         """Returns the state at home."""
         return IdealState(
-            segment=Segment(HOME, HOME, 0.0, 1.0), rest=self._new_rest()
+            segment=Segment(self._home, self._home, 0.0, 1.0),
+            rest=self._new_rest(),
         )
 
     def update(self, state: IdealState, now: Measured) -> IdealState:
@@ -163,12 +165,12 @@ class IdealActuation(Actuation[IdealState, Measured]):
         grasp, poses, time = state.action.grasp, now.poses, now.time
         duration = self._config.approach_time
         if state.phase is Phase.APPROACH:
-            segment = Segment(HOME, grasp.X_WG, time, duration)
+            segment = Segment(self._home, grasp.X_WG, time, duration)
         elif state.phase is Phase.LIFT:
             segment = self._lift(grasp.object, poses[grasp.object], time)
         elif state.phase is Phase.CARRY:
             to = np.array(state.segment.end[:3, 3])
-            to[:2] = tote_slot(state.carried)
+            to[:2] = self._tote.slot(state.carried)
             segment = self._straight(state.segment.end, to, time)
         elif state.phase is Phase.LOWER:
             to = np.array(state.segment.end[:3, 3])
@@ -178,7 +180,7 @@ class IdealActuation(Actuation[IdealState, Measured]):
             X_WG = grasp.X_WG
             if state.outcome is not Outcome.FAILED:
                 X_WG = poses[grasp.object] @ grasp.X_OG
-            segment = Segment(X_WG, HOME, time, duration)
+            segment = Segment(X_WG, self._home, time, duration)
         elif state.phase in (Phase.CHECK, Phase.SETTLE):
             return replace(state, rest=self._new_rest())
         else:
@@ -230,7 +232,7 @@ class IdealActuation(Actuation[IdealState, Measured]):
         start = np.array(X_WO)
         start[:3, 3] += start[:3, :3] @ model.p_OCom
         lowest = _heights(model, X_WO).min()
-        top = BIN_WALL_HEIGHT + LIFT_CLEARANCE + 0.01
+        top = self._bin.wall_height + LIFT_CLEARANCE + 0.01
         to = start[:3, 3] + [0.0, 0.0, max(top - lowest, 0.0)]
         return self._straight(start, to, time)
 
@@ -245,7 +247,7 @@ class IdealActuation(Actuation[IdealState, Measured]):
         under = [
             _heights(self._models[other], X).max()
             for other, X in poses.items()
-            if other != name and over_tote(X[:3, 3])
+            if other != name and self._tote.is_under(X[:3, 3])
         ]
         return min(max(under, default=0.0) + 0.005 - lowest, 0.0)
 
@@ -289,6 +291,7 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         bodies: Mapping[str, int],
         geometry: GripperGeometry,
         opening: float,
+        cell: Cell | None = None,
         config: QuasiStaticConfig | None = None,
         seed: int = 0,
         period: float = 0.02,
@@ -302,6 +305,7 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
             bodies: object name to its index in the body ports.
             geometry: of the drawn gripper.
             opening: of its jaw, m.
+            cell: in which it works; by default the nominal one.
             config: motions and perturbations.
             seed: of the perturbations.
             period: of the state machine, s.
@@ -309,7 +313,9 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         """
         config = config or QuasiStaticConfig()
         self._models = {model.name: model for model in objects}
-        actuation = IdealActuation(judge, self._models, config, seed)
+        actuation = IdealActuation(
+            judge, self._models, cell or Cell(), config, seed
+        )
         super().__init__(actuation, actuation.initial(), period=period)
         self._bodies = dict(bodies)
         self._opening = opening

@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.trajectories import CompositeTrajectory, PiecewisePose
 
+from xray_drake.cell.cell import Cell
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM, ArmCell, ArmModel
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg, Path, timed_curve
@@ -53,14 +54,18 @@ reach`) finds some, from several seeds; from there a straight path is followed
 
     name = "arm"
 
-    def __init__(self, model: ArmModel = YUMI_ARM) -> None:
+    def __init__(
+        self, model: ArmModel = YUMI_ARM, cell: Cell | None = None
+    ) -> None:
         """Builds the arm's model."""
         self._model = model
-        self._axis = model.X_WA[:2, 3]
+        cell = cell or Cell()
+        X_WA = model.mounted(cell)
+        self._axis = X_WA[:2, 3]
         # Axis 1 points up (1) or down (−1).
-        self._sign = float(model.X_WA[2, 2])
-        self.highest = float(model.X_WA[2, 3]) - model.headroom
-        self.cell = ArmCell(model)
+        self._sign = float(X_WA[2, 2])
+        self.highest = float(X_WA[2, 3]) - model.headroom
+        self.cell = ArmCell(model, cell)
         self.limits = self.cell.limits
         self.pose = self.cell.pose
 
@@ -68,7 +73,7 @@ reach`) finds some, from several seeds; from there a straight path is followed
     def home(self) -> np.ndarray:
         """The (n,) joint positions in which the arm waits."""
         X_WT = np.diag([1.0, -1.0, -1.0, 1.0])
-        X_WT[:3, 3] = *self._model.home_place, self.highest
+        X_WT[:3, 3] = *(self._axis + self._model.home_place), self.highest
         q = self.cell.reach(X_WT, self._model.home, centred=False)
         if q is None:
             raise ReachError("the arm cannot be at home")

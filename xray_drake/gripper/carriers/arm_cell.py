@@ -20,8 +20,9 @@ from pydrake.multibody.tree import (
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 from pydrake.systems.framework import Context
 
+from xray_drake.cell.cell import Cell
 from xray_drake.gripper.models import add_carrier, add_hand, joint_limits
-from xray_drake.scene.plant import add_bin
+from xray_drake.scene.plant import add_bin, add_tote
 
 _HAND = "gripper_base"
 _FINGERS = ("left_finger", "right_finger")
@@ -34,10 +35,11 @@ class ArmModel:
     Attributes:
         file: in ``models/gripper``; the gripper is welded to its frame "tool".
         links: its bodies from base to tool; the joints are in their order.
-        X_WA: 4×4 pose of the first of them, m.
+        X_WA: 4×4 pose of the first of them; its place is the cell's.
         ready: (n,) joint positions somewhere in the middle of its reach, rad.
         home: (n,) joint positions near those at home, rad.
-        home_place: where the tool is at home, pointing down, x and y, m.
+        home_place: where the tool is at home, pointing down, from the base
+            along the world's x and y, m.
         headroom: the tool stays so far below the base, where the arm has room
             to fold, m.
         turning_radius: so near axis 1 is the tool while the arm turns, to pass
@@ -53,9 +55,21 @@ class ArmModel:
     headroom: float
     turning_radius: tuple[float, float]
 
-    def add(self, plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
-        """Adds the arm to a plant; returns it and its tool frame."""
-        return add_carrier(plant, self.file, self.links[0], self.X_WA)
+    def add(
+        self, plant: MultibodyPlant, cell: Cell
+    ) -> tuple[ModelInstanceIndex, Frame]:
+        """Adds the arm to a plant, where a cell has it mounted.
+
+        Returns:
+            It and its tool frame.
+        """
+        return add_carrier(plant, self.file, self.links[0], self.mounted(cell))
+
+    def mounted(self, cell: Cell) -> np.ndarray:
+        """Returns the 4×4 pose of its base in a cell, m."""
+        X_WA = np.array(self.X_WA)
+        X_WA[:3, 3] = cell.p_WM
+        return X_WA
 
     def filtered(self) -> Iterator[tuple[str, str]]:
         """Yields pairs of bodies of which a distance tells nothing."""
@@ -79,11 +93,11 @@ YUMI_ARM = ArmModel(
     # to reach over both from beside them; from there it does, and it can keep
     # out of the overhead camera's view.
     X_WA=np.array(
-        [[-1.0, 0, 0, 0.28], [0, 1.0, 0, 0], [0, 0, -1.0, 0.60], [0, 0, 0, 1]]
+        [[-1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, -1.0, 0], [0, 0, 0, 1]]
     ),
     ready=np.deg2rad([0.0, -60.0, 0.0, 10.0, 0.0, 60.0, 0.0]),
     home=np.deg2rad([103.0, -108.0, -111.0, 53.0, 63.0, 88.0, -69.0]),
-    home_place=(0.52, 0.0),
+    home_place=(0.24, 0.0),
     headroom=0.18,
     turning_radius=(0.22, 0.34),
 )
@@ -113,12 +127,13 @@ class ArmCell:
         limits: of its n joints.
     """
 
-    def __init__(self, model: ArmModel) -> None:
-        """Builds the plant of an arm."""
+    def __init__(self, model: ArmModel, cell: Cell) -> None:
+        """Builds the plant of an arm that is mounted in a cell."""
         builder = RobotDiagramBuilder(0.0)
         plant = builder.plant()
-        arm, tool = model.add(plant)
-        add_bin(plant, with_tote=True)
+        arm, tool = model.add(plant, cell)
+        add_bin(plant, cell.bin)
+        add_tote(plant, cell.placed_tote)
         hand = add_hand(plant, tool)
         self.limits = joint_limits(plant, arm)
         self._tool = tool.index()

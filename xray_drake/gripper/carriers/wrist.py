@@ -9,6 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex
 from scipy.spatial.transform import Rotation
 
+from xray_drake.cell.cell import Cell
 from xray_drake.gripper.carriers.carrier import ReachError, Tracking
 from xray_drake.gripper.carriers.paths import Leg, Path, straight_path
 from xray_drake.gripper.models import (
@@ -17,7 +18,6 @@ from xray_drake.gripper.models import (
     joint_limits,
     moving_joints,
 )
-from xray_drake.gripper.transfer import HOME
 from xray_drake.messages import Message
 
 JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -161,7 +161,9 @@ class Wrist(Message):
         )
 
 
-def add_wrist(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, Frame]:
+def add_wrist(
+    plant: MultibodyPlant, cell: Cell
+) -> tuple[ModelInstanceIndex, Frame]:
     """Adds the wrist to a plant; returns it and its tool frame."""
     return add_carrier(plant, "wrist.sdf", "wrist_base", np.eye(4))
 
@@ -171,6 +173,7 @@ def make_wrist(
     instance: ModelInstanceIndex,
     hand: ModelInstanceIndex,
     X_BJ: np.ndarray,
+    cell: Cell,
 ) -> Wrist:
     """Returns the kinematics of the wrist in a plant.
 
@@ -179,6 +182,7 @@ def make_wrist(
         instance: the wrist.
         hand: the gripper on it.
         X_BJ: 4×4 pose of the jaw frame in the tool frame, m.
+        cell: says where home is.
 
     Raises:
         ReachError: it cannot be at home.
@@ -197,5 +201,5 @@ def make_wrist(
         limits=joint_limits(plant, instance),
         mass=(np.cumsum(own[::-1])[::-1] + sum(held))[:3],
     )
-    X_WT = HOME @ np.linalg.inv(X_BJ)
+    X_WT = cell.X_WH @ np.linalg.inv(X_BJ)
     return replace(wrist, home=wrist.joints(X_WT, near=wrist.home))

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 
-from xray_drake.configuration import bin_floor, choice, count, number
+from xray_drake.configuration import choice, count, number
 from xray_drake.occupancy.label.config import LabelConfig
 
-POSES = ("flat", "resting")
+POSES = ("auto", "flat", "resting")
 
 
 @dataclass
@@ -39,9 +39,10 @@ class GeometricLabelConfig:
 class GeometricConfig:
     """Numbers of geometric inference."""
 
-    # How the target can lie: "flat", body z axis up (``FlatPoses``), or
-    # "resting", on every face on which it does not topple (``RestingPoses``).
-    poses: str = choice("flat", POSES)
+    # How the target can lie: "flat", body z axis up (``FlatPoses``); "resting",
+    # on every face on which it does not topple (``RestingPoses``); or "auto",
+    # flat where it lies so as a rule, else resting.
+    poses: str = choice("auto", POSES)
     # "resting": ways to lie that are less probable than this are left out.
     least_share: float = number(0.03, "[0, 1)")
     # Orientations over the full turn; a silhouette that repeats itself within
@@ -54,8 +55,6 @@ class GeometricConfig:
     # Translations: pitch of the lattice on the floor, m. A pixel covers 1.25
     # to 1.7 mm of the floor.
     cell: float = number(0.00127, "[0.0002, 0.05]")
-    # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = bin_floor()
     # How far a candidate may reach beyond the floor, m.
     floor_tolerance: float = number(0.002, "[0, 0.1]")
     # A surface hides what is farther than it by more than this, m.

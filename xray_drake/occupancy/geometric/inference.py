@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from xray_drake.cell.bin import Bin
 from xray_drake.configuration import check
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor, observed_heights
@@ -138,6 +139,8 @@ class GeometricInference:
         target: ObjectModel,
         config: GeometricConfig | None = None,
         method: str = "geometric",
+        *,
+        floor: Floor | None = None,
     ) -> None:
         """Prepares the silhouettes.
 
@@ -145,6 +148,7 @@ class GeometricInference:
             target: what is searched for.
             config: the numbers; ``config.poses`` chooses the candidates.
             method: one of :data:`SUMS`.
+            floor: inside of the bin's; by default the nominal bin's.
 
         Raises:
             ValueError: no such poses, or none that ``method`` takes; a number
@@ -152,17 +156,20 @@ class GeometricInference:
         """
         config = config or GeometricConfig()
         check(config, "geometric")
+        if config.poses == "auto":
+            kind = "flat" if target.is_flat else "resting"
+            config = replace(config, poses=kind)
         self.method, self._sum = method, SUMS[method]
         if config.poses not in self._sum.poses:
             raise ValueError(
-                f"poses is {config.poses!r}: choose one of "
-                f"{', '.join(self._sum.poses)}"
+                f"{method} takes {' or '.join(self._sum.poses)} poses, and "
+                f"those of {target.name} are {config.poses}"
             )
         self._sum.check(config)
         if self._sum.blank_tolerance is not None:
             config = replace(config, blank_tolerance=self._sum.blank_tolerance)
         self.config = config
-        self._floor = Floor.of(config.floor)
+        self._floor = floor or Bin().floor
         self.poses: Poses = (
             FlatPoses if config.poses == "flat" else RestingPoses
         )(target, config, self._floor)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from xray_drake.configuration import bin_floor, count, number
+from xray_drake.configuration import count, number
 
 
 @dataclass
@@ -14,8 +14,6 @@ class LabelConfig:
     step: int = count(8, "[1, 256]")
     # Orientations over the full turn.
     rotations: int = count(16, "[1, 3600]")
-    # Inside of the bin floor: x low, x high, y low, y high, m.
-    floor: list[float] = bin_floor()
     # How far a candidate may reach beyond the floor, m.
     floor_tolerance: float = number(0.002, "[0, 0.1]")
     # The target is seen where it is nearer than the scene by more than this, m.

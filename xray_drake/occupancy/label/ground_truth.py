@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xray_drake.cell.bin import Bin
 from xray_drake.configuration import check
 from xray_drake.geometry.camera import PinholeCamera
+from xray_drake.geometry.floor_grid import Floor
 from xray_drake.geometry.readings import (
     check_shapes,
     depth_readings,
@@ -52,6 +54,7 @@ def occupancy_label(
     camera: PinholeCamera,
     p_WT: np.ndarray,
     *,
+    floor: Floor | None = None,
     observed: np.ndarray | None = None,
     true_pose: bool = True,
     config: LabelConfig | None = None,
@@ -81,6 +84,7 @@ def occupancy_label(
             0, inf and NaN are no reading and hide nothing.
         camera: the camera of both, above the floor.
         p_WT: (3,) origin of the target's body in the world, m.
+        floor: inside of the bin's; by default the nominal bin's.
         observed: (H, W) bool, the modal mask if it is known from elsewhere (a
             label image). Without it, it is where the target is nearer than
             the scene by more than ``depth_tolerance``.
@@ -104,32 +108,54 @@ def occupancy_label(
     )
     amodal = has_reading(target)
     pivot = _pivot(p_WT, camera)
-    outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
-    relative, floor = relative_depths(
-        scene,
-        camera.pixel_to_ray,
-        np.array(camera.X_WC[:3, 3]),
-        np.array(config.floor) + outward,
-        config.depth_tolerance,
+    relative, floor_depth = _relative(
+        scene, camera, floor or Bin().floor, config
     )
     computed = _modal(target, scene, amodal, config.depth_tolerance)
     modal = computed if observed is None else np.array(observed, dtype=bool)
     box = _box(modal) if modal.any() else None
-    candidates = _candidates(target, _box(amodal), floor, pivot, box, config)
-    change = np.zeros((camera.height, camera.width + 1), dtype=np.int32)
-    if box is None:
-        accepted = count_hidden(relative, candidates, change)
-    else:
-        accepted = count_seen(
-            relative, modal, candidates, config.accept_iou, change
-        )
-    total = np.cumsum(change[:, :-1], axis=1, dtype=np.int32)
+    candidates = _candidates(
+        target, _box(amodal), floor_depth, pivot, box, config
+    )
+    accepted, total = _counted(relative, modal, candidates, config)
     if true_pose and (box is not None or (computed != amodal).any()):
         accepted[0] += 1
         total += amodal
     largest = float(total.max())
     distribution = total.astype(np.float32) / np.float32(max(largest, 1.0))
     return Label(distribution, amodal, modal, accepted, largest)
+
+
+def _counted(
+    relative: np.ndarray,
+    modal: np.ndarray,
+    candidates: Candidates,
+    config: LabelConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns how many of each turn are accepted, and (H, W) their sum."""
+    height, width = modal.shape
+    change = np.zeros((height, width + 1), dtype=np.int32)
+    if modal.any():
+        accepted = count_seen(
+            relative, modal, candidates, config.accept_iou, change
+        )
+    else:
+        accepted = count_hidden(relative, candidates, change)
+    return accepted, np.cumsum(change[:, :-1], axis=1, dtype=np.int32)
+
+
+def _relative(
+    scene: np.ndarray, camera: PinholeCamera, floor: Floor, config: LabelConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns (H, W) depths of scene and floor; see ``relative_depths``."""
+    outward = config.floor_tolerance * np.array([-1.0, 1.0, -1.0, 1.0])
+    return relative_depths(
+        scene,
+        camera.pixel_to_ray,
+        np.array(camera.X_WC[:3, 3]),
+        np.array([*floor.x, *floor.y]) + outward,
+        config.depth_tolerance,
+    )
 
 
 def _candidates(

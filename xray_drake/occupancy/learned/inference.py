@@ -1,6 +1,5 @@
 """Learned inference of the occupancy distribution, from a file of weights."""
 
-from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -9,11 +8,11 @@ import numpy as np
 import torch
 from torch import nn
 
+from xray_drake.cell.bin import Bin
 from xray_drake.choices import DTYPES
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor
 from xray_drake.messages import OccupancyDistribution
-from xray_drake.occupancy.label.config import LabelConfig
 from xray_drake.occupancy.learned.augmented_depth import augmented_depth
 from xray_drake.occupancy.learned.build import build_network, channels_last
 from xray_drake.occupancy.learned.compact import OUTPUTS, CompactNet
@@ -71,7 +70,7 @@ class LearnedInference:
         output: Output = "occupancy",
         scaling: bool = True,
         dtype: str = DTYPES[0],
-        floor: Sequence[float] | None = None,
+        floor: Floor | None = None,
     ) -> None:
         """Prepares a network for a target.
 
@@ -87,8 +86,7 @@ class LearnedInference:
             dtype: what it computes in, one of ``DTYPES``. bfloat16 is faster
                 on processors that have instructions for it, and changes the
                 shipped network's answers by up to 0.18; not "fcn_resnet50".
-            floor: inside of the bin's: x low, x high, y low, y high, m; by
-                default that of the labels.
+            floor: inside of the bin's; by default the nominal bin's.
 
         Raises:
             ValueError: no such output or type, or a network that has not got
@@ -107,7 +105,7 @@ class LearnedInference:
         self.card = card
         self.output = output
         self._size = oriented_size(target_size)
-        self._floor = Floor.of(floor or LabelConfig().floor)
+        self._floor = floor or Bin().floor
         self._scale = 1.0
         if card.box_size is not None:
             self._scale = box_scale(self._size) if scaling else 1.0
@@ -142,17 +140,11 @@ class LearnedInference:
             may be less, and a posterior's are probabilities.
 
         Raises:
-            ValueError: images of another shape than the camera's, or of a size
-                that the network cannot take, or a depth image without any
-                reading.
+            ValueError: images of another shape than the camera's, or a depth
+                image without any reading.
         """
         mask = np.asarray(target_mask, dtype=bool)
         depth = check_observation(depth, mask, camera)
-        if camera.height % SIZE_STEP or camera.width % SIZE_STEP:
-            raise ValueError(
-                f"a network takes images whose sides are multiples of "
-                f"{SIZE_STEP}, not {camera.shape}"
-            )
         return OccupancyDistribution(
             data=self._respond(depth, mask, camera),
             support_threshold=SUPPORT_THRESHOLD,
@@ -163,13 +155,16 @@ class LearnedInference:
         self, depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
     ) -> np.ndarray:
         """(H, W) float32 in [0, 1]."""
+        height, width = camera.shape
         if self._scale != 1.0:
             depth, mask = rescale_input(depth, mask, self._scale)
             camera = camera.zoomed(1 / self._scale)
+        depth, mask, camera = _padded(depth, mask, camera)
         if self.card.input == "geometry":
             answer = self._from_geometry(depth, mask, camera)
         else:
             answer = self._from_augmented_depth(depth, mask)
+        answer = answer[:height, :width]
         if self._scale != 1.0:
             answer = rescale_output(answer, self._scale)
         return np.clip(answer, 0.0, 1.0)
@@ -204,7 +199,7 @@ class LearnedInference:
     ) -> np.ndarray:
         """What a network answers to images, in their shape."""
         images = geometry_input(
-            depth, mask, camera, float(self._size[2]), floor=self._floor
+            depth, mask, camera, float(self._size[2]), self._floor
         )
         with torch.inference_mode():
             logits = net(
@@ -224,6 +219,25 @@ class LearnedInference:
         with torch.inference_mode():
             answer = self._net(torch.from_numpy(image)[None])
         return answer[0, 0].numpy() / self._label_scale
+
+
+def _padded(
+    depth: np.ndarray, mask: np.ndarray, camera: PinholeCamera
+) -> tuple[np.ndarray, np.ndarray, PinholeCamera]:
+    """Gives images sides that are multiples of 32, as networks need.
+
+    What is added, below and on the right, has no reading.
+    """
+    more = [-side % SIZE_STEP for side in camera.shape]
+    if not any(more):
+        return depth, mask, camera
+    added = [(0, n) for n in more]
+    height, width = np.add(camera.shape, more).tolist()
+    return (
+        np.pad(depth, added),
+        np.pad(mask, added),
+        camera.padded(height, width),
+    )
 
 
 def default_weights() -> Path:

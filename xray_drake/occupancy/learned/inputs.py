@@ -13,7 +13,6 @@ import numpy as np
 
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.floor_grid import Floor, observed_heights
-from xray_drake.occupancy.label.config import LabelConfig
 
 FINE = ("cover", "modal")
 """Channels of :class:`GeometryInput` at the camera's resolution."""
@@ -27,7 +26,6 @@ QUARTER = 4
 SIZE_FEATURES = ("length", "width", "thickness", "hidden", "visible")
 """Of :func:`size_features`."""
 
-_FLOOR = Floor.of(LabelConfig().floor)
 
 _COVER_WIDTH = 0.002
 """m above and below the target's top, over which "cover" goes from 0 to 1."""
@@ -62,8 +60,7 @@ def geometry_input(
     mask: np.ndarray,
     camera: PinholeCamera,
     thickness: float,
-    *,
-    floor: Floor = _FLOOR,
+    floor: Floor,
 ) -> GeometryInput:
     """Returns the compact network's images.
 
@@ -72,7 +69,7 @@ def geometry_input(
         mask: (H, W) bool, the target's visible pixels; blank where hidden.
         camera: of both; H and W are multiples of 4.
         thickness: of the target, m.
-        floor: inside of the bin's; by default that of the labels.
+        floor: inside of the bin's.
     """
     depth = np.asarray(depth, dtype=np.float32)
     heights = observed_heights(depth, camera, offset=0.0)

@@ -5,7 +5,6 @@ objects shift into previously free space, the distribution will not cover that
 area" (section VI).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,7 +75,7 @@ class TargetMemory:
 
     Attributes:
         target_size: (3,) length, width, thickness of the target, m.
-        floor: inside of the bin floor: x low, x high, y low, y high, m.
+        floor: inside of the bin's.
         noise: a depth that changes by less has not changed, m.
         least_pixels: what changed in fewer has not moved.
         share: a thing that moves may drag the target over this share of its
@@ -96,7 +95,7 @@ class TargetMemory:
     """
 
     target_size: np.ndarray
-    floor: Sequence[float]
+    floor: Floor
     noise: float = 0.002
     least_pixels: int = 8
     share: float = 0.25
@@ -213,10 +212,8 @@ class TargetMemory:
 
     def _floor(self, camera: PinholeCamera) -> np.ndarray:
         """Returns the (H, W) bool pixels whose rays meet the bin floor."""
-        x_low, x_high, y_low, y_high = self.floor
-        floor = Floor((x_low, x_high), (y_low, y_high))
         p_W = camera.unproject(camera.plane_depth(0.0))[..., :2]
-        planes = floor.half_planes(0.0)
+        planes = self.floor.half_planes(0.0)
         return (p_W @ planes[:, :2].T <= planes[:, 2]).all(axis=-1)
 
 

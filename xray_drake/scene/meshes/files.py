@@ -139,7 +139,7 @@ def _look_through(
                 (links if os.path.islink(path) else waiting).append(path)
                 continue
             if path.suffix.lower() in FORMATS:
-                problem = _dead_link(path) or _unreadable(path)
+                problem = problem_of(path)
                 if not problem:
                     directories.setdefault(directory, []).append(path)
             elif not path.suffix:  # it may have led to a folder
@@ -149,6 +149,11 @@ def _look_through(
             if problem:
                 problems[path] = problem
     return directories, problems
+
+
+def problem_of(path: Path) -> str:
+    """Says why a file cannot be read; empty where it can."""
+    return _dead_link(path) or _unreadable(path)
 
 
 def _dead_link(path: Path) -> str:

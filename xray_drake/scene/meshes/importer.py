@@ -24,8 +24,10 @@ from xray_drake.scene.meshes.files import (
     find_meshes,
     masses_of,
     printable,
+    problem_of,
     read_masses,
 )
+from xray_drake.scene.meshes.formats import FORMATS
 from xray_drake.scene.meshes.losses import Losses, LossLimits
 from xray_drake.scene.meshes.prepare import (
     Outcome,
@@ -36,7 +38,7 @@ from xray_drake.scene.meshes.prepare import (
     read_outcome,
 )
 from xray_drake.scene.meshes.textures import is_red
-from xray_drake.scene.object_model import ObjectModel
+from xray_drake.scene.object_model import ObjectModel, Origin
 
 DEFAULT_DENSITY = 300.0
 """kg/m³ of the closed surface's inside, where the folder gives no mass."""
@@ -162,18 +164,59 @@ def import_meshes(
     cache = cache_folder() / "meshes" if cache_dir is None else Path(cache_dir)
 
     outcomes: dict[int, Outcome] = {}
-    for index, outcome in _prepare_all(
-        files, settings, cache, workers, time_limit
-    ):
+    prepared = _prepare_all(files, settings, cache, workers, time_limit)
+    for index, outcome in prepared:
         outcomes[index] = outcome
         if progress is not None:
             progress(len(outcomes) / len(files))
 
     if not all(outcome.kept for outcome in outcomes.values()):
         _logger.warning("cannot write to %s: next time takes as long", cache)
-    result = _collected(folder, files, outcomes, masses, density, max_loss)
+    result = _collected(
+        folder, files, outcomes, masses, density, max_loss, scale
+    )
     _logger.info("%s: %s", folder, result.summary())
     return result
+
+
+def import_mesh(
+    path: Path,
+    name: str,
+    *,
+    scale: float = 1.0,
+    density: float = DEFAULT_DENSITY,
+    mass: float | None = None,
+    time_limit: float = MESH_TIME_LIMIT,
+) -> ObjectModel:
+    """Reads one object from a file; see :func:`import_meshes`.
+
+    Args:
+        path: of the file.
+        name: of the object.
+        scale: metres per unit of the file.
+        density: kg/m³, where there is no mass.
+        mass: kg.
+        time_limit: s that preparing it may take.
+
+    Raises:
+        ValueError: it cannot be used; the message names the file.
+    """
+    _check({"scale": scale, "density": density, "time_limit": time_limit}, {})
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(
+            f"{path} is no mesh: those are {', '.join(FORMATS)} files"
+        )
+    file = MeshFile(path, name, (), problem_of(path))
+    settings = Settings(scale, MAX_PIECES, MAX_VERTICES, DEFAULT_LIMITS)
+    cache = cache_folder() / "meshes"
+    ((_, outcome),) = _prepare_all([file], settings, cache, 1, time_limit)
+    try:
+        if outcome.prepared is None:
+            raise ValueError(outcome.reason)
+        DEFAULT_LIMITS.check(Losses(*map(float, outcome.prepared.losses)))
+        return _model(file, outcome.prepared, mass, density, scale)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _masses(folder: Path, files: list[MeshFile]) -> list[float | None]:
@@ -193,6 +236,7 @@ def _collected(
     masses: list[float | None],
     density: float,
     max_loss: LossLimits,
+    scale: float,
 ) -> MeshImport:
     """Makes the objects, and logs what is rejected or was repaired.
 
@@ -207,7 +251,9 @@ def _collected(
                 raise ValueError(outcome.reason)
             lost = Losses(*map(float, outcome.prepared.losses))
             max_loss.check(lost)
-            model = _model(file.name, outcome.prepared, masses[index], density)
+            model = _model(
+                file, outcome.prepared, masses[index], density, scale
+            )
         except ValueError as error:
             rejected.append((file.path, str(error)))
             _logger.warning("skipped %s: %s", printable(str(file.path)), error)
@@ -297,8 +343,14 @@ def _some(names: list[str], most: int = 5) -> str:
 
 
 def _model(
-    name: str, prepared: Prepared, mass: float | None, density: float
+    file: MeshFile,
+    prepared: Prepared,
+    mass: float | None,
+    density: float,
+    scale: float,
 ) -> ObjectModel:
+    name, X_FO = file.name, np.eye(4)
+    X_FO[:3, 3] = prepared.center
     volume = float(prepared.volume)
     if mass is None:
         mass = density * volume
@@ -324,6 +376,7 @@ def _model(
         inertia=prepared.inertia * (mass / volume),
         color=color,
         textured=prepared.textured,
+        origin=Origin(str(file.path.absolute()), scale, X_FO),
     )
 
 

@@ -21,7 +21,7 @@ from xray_drake.scene.meshes.pieces import hull_volume
 from xray_drake.scene.meshes.textures import mean_color, read_texture
 from xray_drake.scene.object_model import TexturedMesh
 
-ALGORITHM = 2
+ALGORITHM = 3
 """Raised with every change of what comes of a file, so that caches renew."""
 
 VISUAL_FACES = 5000
@@ -78,6 +78,7 @@ class Prepared:
         piece_sizes: vertices of each.
         volume: m³.
         inertia: (3, 3) about the centre of mass at a density of 1 kg/m³.
+        center: (3,) the centre of mass in the file's frame, m.
         losses: missing, added, volume and silhouette, as in ``Losses``.
         notes: what was repaired or could not be used, short sentences.
         color: (3,) mean colour, or (0,) where the file has none.
@@ -90,6 +91,7 @@ class Prepared:
     piece_sizes: np.ndarray
     volume: np.ndarray
     inertia: np.ndarray
+    center: np.ndarray
     losses: np.ndarray
     notes: np.ndarray
     color: np.ndarray
@@ -325,6 +327,7 @@ def prepare(path: Path, settings: Settings) -> Prepared:
         piece_sizes=np.array([len(piece) for piece in pieces]),
         volume=np.array(mesh.volume),
         inertia=np.array(mesh.moment_inertia),
+        center=center,
         losses=np.array(
             [losses.missing, losses.added, losses.volume, losses.silhouette]
         ),

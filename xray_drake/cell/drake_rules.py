@@ -1,4 +1,4 @@
-"""What numbers and names may be: Drake's own, and pairs of a scenario's."""
+"""What numbers and names may be in Drake's own configurations."""
 
 from pydrake.systems.analysis import GetIntegrationSchemes
 
@@ -65,22 +65,3 @@ DRAKE_RULES: Rules = {
     },
 }
 """By class and field. A number that is not here must be finite."""
-
-IN_ORDER = (
-    ("scene.random_number.least", "scene.random_number.most"),
-    ("camera_sampling.least_radius", "camera_sampling.most_radius"),
-    ("camera_sampling.least_focal", "camera_sampling.most_focal"),
-    ("camera.clipping_near", "camera.z_near"),
-    ("camera.z_near", "camera.z_far"),
-    ("camera.z_far", "camera.clipping_far"),
-    ("gripper.contact.lost", "gripper.contact.sealed"),
-    *(
-        (f"{path}.friction_min", f"{path}.friction")
-        for path in (
-            "gripper.planner.perturbation",
-            "gripper.depth_planner.perturbation",
-            "gripper.quasi_static.perturbation",
-        )
-    ),
-)
-"""Numbers of which the first is at most the second."""

@@ -1,0 +1,1 @@
+"""The cell: bin, tote, cameras and gripper; each fact stands here once."""
