@@ -195,7 +195,7 @@ def _configurations() -> list[type]:
     """Finds every dataclass of the package that is a configuration."""
     waiting: list[type] = [Scenario, TrainConfig]
     root = Path(xray_drake.__file__).parent
-    ends = ("Config", "Parameters", "Sampling", "Noise", "Augmentation")
+    ends = ("Config", "Parameters", "Sampling", "Noise", "Augmentation", "Spec")
     for path in root.rglob("*.py"):
         parts = path.relative_to(root).with_suffix("").parts
         waiting += [
@@ -212,7 +212,7 @@ def _configurations() -> list[type]:
         for inner in fields_of(kind).values():
             waiting += [inner, *typing.get_args(inner)]
     names = {schema.__name__ for schema in known}
-    assert names > {"GripperParameters", "DepthNoise", "FovDegrees"}
+    assert names > {"GripperSpec", "DepthNoise", "FovDegrees"}
     return known
 
 

@@ -54,6 +54,11 @@ def number(default: float, interval: str) -> Any:
     return _ruled(Interval.of(interval), default)
 
 
+def required_number(interval: str) -> Any:
+    """A field of a dataclass: a number that must be given."""
+    return field(metadata={_RULE: Interval.of(interval)})
+
+
 def count(default: int, interval: str) -> Any:
     """A field of a dataclass: a whole number; see :func:`number`."""
     return _ruled(Interval.of(interval, whole=True), default)

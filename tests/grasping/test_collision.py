@@ -4,15 +4,18 @@ from scipy.spatial.transform import Rotation
 
 from tests.grasping.depth_scenes import model_block
 from tests.poses import at, downwards
+from xray_drake.cell.gripper import load_gripper
 from xray_drake.grasping.evidence.clearance import clearance
 from xray_drake.grasping.evidence.collision import GraspScene
-from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 
 OPENING = 0.030
 
 
 def scene(*objects, **options):
-    return GraspScene(objects, gripper=load_gripper_geometry(), **options)
+    return GraspScene(
+        objects, gripper=gripper_geometry(load_gripper()), **options
+    )
 
 
 def finger_gap(gap):

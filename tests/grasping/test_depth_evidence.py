@@ -160,7 +160,7 @@ def test_no_grasp_has_a_point_of_the_image_in_the_gripper(planner):
             assert inside < 0.0005
             assert -grasp.X_WG[2, 2] >= least
             assert 0 < grasp.quality <= 1
-            assert 0 <= grasp.width <= gripper.parameters.opening
+            assert 0 <= grasp.width <= gripper.spec.opening
             found += 1
     assert found > 15
 

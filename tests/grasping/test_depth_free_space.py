@@ -9,12 +9,13 @@ from tests.grasping.depth_scenes import block, clutter, see
 from tests.nominal import BIN
 from tests.occupancy.scenes import CAMERAS
 from tests.poses import at, downwards
+from xray_drake.cell.gripper import load_gripper
 from xray_drake.grasping.evidence.approach_shape import ApproachShape
 from xray_drake.grasping.evidence.free_space import FreeSpace
-from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 from xray_drake.messages import GraspKind
 
-GRIPPER = load_gripper_geometry()
+GRIPPER = gripper_geometry(load_gripper())
 KINDS = (GraspKind.JAW, GraspKind.SUCTION)
 SHAPES = {
     kind: ApproachShape(

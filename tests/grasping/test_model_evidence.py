@@ -86,7 +86,7 @@ def test_grasps_and_the_cloud_that_judges_them_are_drawn_apart(monkeypatch):
 def test_a_heavy_box_slips_below_the_friction_it_needs(planner, factor, lifted):
     """Two pads hold 2 μ F; the axis passes through the centre of mass."""
     evidence = planner.evidence
-    force = evidence.gripper.parameters.force
+    force = evidence.gripper.spec.force
     friction = factor * HEAVY.mass * GRAVITY / (2 * force)
     # The middle of the pads, 2 mm behind the origin, at the centre of mass.
     grasp = jaw_on("heavy", 0.015 - 0.002, 0.03)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from xray_drake.grasping.gripper_geometry import GripperParameters
+from xray_drake.cell.gripper import load_gripper
 from xray_drake.grasping.wrench import (
     PadContact,
     holding_quality,
@@ -108,7 +108,7 @@ CUPS = [
 def test_what_limits_cups():
     """Each for itself, judged at once."""
     levers, gravities, expected = zip(*CUPS, strict=True)
-    held = suction_holding_force(levers, gravities, GripperParameters(), 0.5)
+    held = suction_holding_force(levers, gravities, load_gripper(), 0.5)
     np.testing.assert_allclose(held, expected)
 
 

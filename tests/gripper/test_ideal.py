@@ -14,7 +14,8 @@ from tests.gripper.cells import (
 from tests.nominal import TOTE
 from tests.ports import ports
 from tests.poses import at, downwards
-from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.cell.gripper import load_gripper
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 from xray_drake.grasping.judgement import JudgedGrasp
 from xray_drake.gripper.actuation.ideal import (
     QuasiStaticConfig,
@@ -69,8 +70,7 @@ def make(judge, bodies, **more):
         judge=judge,
         objects=[MODELS[name] for name in bodies],
         bodies=bodies,
-        geometry=load_gripper_geometry(),
-        opening=0.05,
+        geometry=gripper_geometry(load_gripper()),
         **more,
     )
 

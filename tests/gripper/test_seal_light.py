@@ -6,10 +6,11 @@ from pydrake.systems.analysis import Simulator
 from tests.meshcat_probe import pose, prop
 from tests.poses import at
 from xray_drake.drawing.meshcat_layers import start_meshcat
-from xray_drake.gripper.seal_light import GRIPPER_PATH, SealLight
+from xray_drake.gripper.seal_light import SealLight
 from xray_drake.gripper.suction import CupState
 
 X_BC = at(0.15, 0.0, 0.02)
+GRIPPER_PATH = "visualizer/yumi/gripper_base"
 
 
 @pytest.fixture
@@ -20,7 +21,9 @@ def meshcat():
 @pytest.fixture
 def lit(meshcat):
     """A light's simulation, and what its cup does."""
-    simulator = Simulator(SealLight(meshcat, X_BC, period=0.1))
+    simulator = Simulator(
+        SealLight(meshcat, X_BC, path=GRIPPER_PATH, radius=0.015, period=0.1)
+    )
     value = (
         simulator.get_system()
         .get_input_port()

@@ -83,7 +83,7 @@ def test_what_planning_promises_is_held(lever, gravity):
     assume(np.linalg.norm(gravity) > 0.1)
     gravity = gravity / np.linalg.norm(gravity)
     lever = 0.05 * lever
-    p = CUP.parameters
+    p = CUP.gripper
     weight = float(suction_holding_force(lever, gravity, p, p.friction))
     # The cup answers the weight; z goes into the object, so it pulls by −z.
     held = -weight * np.concatenate([np.cross(lever, gravity), gravity])

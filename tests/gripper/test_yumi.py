@@ -9,11 +9,9 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from tests.gripper.cells import STEP, DrivenCell, block
 from tests.nominal import CELL
 from tests.poses import downwards
+from xray_drake.cell.gripper import load_gripper
 from xray_drake.choices import CARRIERS
-from xray_drake.grasping.gripper_geometry import (
-    GripperParameters,
-    load_gripper_geometry,
-)
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.carriers.carrier import Tracking
 from xray_drake.gripper.carriers.paths import Leg
@@ -127,7 +125,7 @@ def outlines(cell):
 
 
 def test_it_touches_nothing_that_planning_would_not(alone):
-    geometry = load_gripper_geometry()
+    geometry = gripper_geometry(load_gripper())
     for name, boxes in outlines(alone).items():
         closing = {"left_finger": -1, "right_finger": 1}.get(name, 0)
         own = geometry.closing == closing
@@ -148,7 +146,7 @@ def test_it_touches_nothing_that_planning_would_not(alone):
 
 def test_pads_are_where_and_as_large_as_planning_has_them(alone):
     inspector = alone.scene_graph.model_inspector()
-    parameters = GripperParameters()
+    parameters = load_gripper()
     gap = 0.0
     for name, side in (("left_finger", 1), ("right_finger", -1)):
         body = alone.plant.GetBodyByName(name)
@@ -170,7 +168,7 @@ def test_pads_are_where_and_as_large_as_planning_has_them(alone):
 
 def test_frames_are_those_of_planning_and_it_waits_at_home(alone):
     gripper, carrier = alone.gripper, alone.gripper.carrier
-    geometry = load_gripper_geometry()
+    geometry = gripper_geometry(load_gripper())
     np.testing.assert_allclose(gripper.X_BJ, geometry.X_BJ, atol=1e-12)
     np.testing.assert_allclose(gripper.X_BC, geometry.X_BC, atol=1e-12)
     X_WB = carrier.pose(carrier.home)

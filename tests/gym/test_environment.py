@@ -196,8 +196,10 @@ def test_a_search_that_has_ended_needs_a_reset(
 def test_nothing_graspable_ends_it(
     tiny_scenario: Scenario, tiny_heap: Heap
 ) -> None:
-    tiny_scenario.gripper.parameters.force = 1e-6
-    tiny_scenario.gripper.parameters.vacuum_force = 1e-6
+    tiny_scenario.cell.gripper.parameters = {
+        "force": 1e-6,
+        "vacuum_force": 1e-6,
+    }
     env = MechanicalSearchEnv(tiny_scenario, drop=lambda scenario: tiny_heap)
     observation, _ = env.reset(seed=7)
     assert not observation["action_mask"].any()

@@ -5,7 +5,7 @@ import pytest
 from pydrake.math import RigidTransform
 
 from tests.alone import Alone
-from xray_drake.grasping.gripper_geometry import GripperParameters
+from xray_drake.cell.gripper import load_gripper
 from xray_drake.messages import Grasp, GraspKind, SearchAction
 from xray_drake.search.grasped_body import GraspedBody, body_under_grasp
 from xray_drake.testing.tiny import Observation
@@ -69,7 +69,7 @@ def test_what_cup_or_jaw_is_on(
         seen.depth,
         seen.camera,
         seen.label_of,
-        GripperParameters(),
+        load_gripper(),
     )
     assert under == found
 

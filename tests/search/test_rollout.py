@@ -242,8 +242,10 @@ def test_the_horizon_ends_it(tiny_scenario: Scenario, tiny_heap: Heap) -> None:
 
 
 def test_nothing_graspable(tiny_scenario: Scenario, tiny_heap: Heap) -> None:
-    tiny_scenario.gripper.parameters.force = 1e-6
-    tiny_scenario.gripper.parameters.vacuum_force = 1e-6
+    tiny_scenario.cell.gripper.parameters = {
+        "force": 1e-6,
+        "vacuum_force": 1e-6,
+    }
     record = run_search(build_search_diagram(tiny_scenario, heap=tiny_heap))
     assert record.end == "nothing_graspable"
     (action,) = record.actions

@@ -207,7 +207,7 @@ camera_sampling: {least_radius: 2} | least_radius is 2.0: it must be
 visualization: {publish_period: 0} | visualization.publish_period
 visualization: {publish_contacts: false} | publish_contacts is Fal
 gripper: {execution: contact, parameters: {pad_width: 0.02}}
-    | gripper.parameters.pad_width is 0.02: the gripper in the plant
+    | cell.gripper.parameters.pad_width is 0.02: the gripper in the plant
 gripper: {parameters: {opening: 0.06}} | opening is 0.06
 gripper: {contact: {lost: 0.95}} | gripper.contact.lost is 0.95: it
 gripper: {planner: {perturbation: {friction_min: 0.6}}}

@@ -17,6 +17,7 @@ from xray_drake.cell.cameras import (
     sized,
 )
 from xray_drake.cell.drake_rules import DRAKE_RULES
+from xray_drake.cell.gripper import CellGripper
 from xray_drake.cell.names import cell_path
 from xray_drake.configuration import (
     build,
@@ -68,7 +69,9 @@ class Cell:
     overhead: CameraConfig = field(default_factory=nominal_camera)
     # Other cameras of the cell by their names: the station has their images.
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    # Where the gripper waits: position of the jaw in the world, m, pointing
+    # The gripper.
+    gripper: CellGripper = field(default_factory=CellGripper)
+    # Where it waits: position of the jaw in the world, m, pointing
     # down; none stands for beside the bin, along y, over its walls.
     home: list[float] = number_list((), "[-5, 5]", (0, 3))
     # Where the base of an arm is mounted in the world, m; none stands for over

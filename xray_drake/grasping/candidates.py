@@ -157,6 +157,20 @@ class GraspCandidates(Rows):
     space: np.ndarray
     stopped: bool = False
 
+    @classmethod
+    def none(cls, kind: GraspKind) -> Self:
+        """Returns no candidates."""
+        none = np.zeros(0)
+        return cls(
+            kind=kind,
+            X_WG=np.zeros((0, 4, 4)),
+            width=none,
+            score=none,
+            group=np.zeros(0, dtype=int),
+            robustness=none,
+            space=none,
+        )
+
     def quality_factor(self, full: float) -> np.ndarray:
         """Returns (n,) factors in (0, 1] of quality: robustness and space.
 
@@ -341,7 +355,7 @@ def jaw_poses(
     steepness = _steepness(z, max_tilt)
     alignment = 1 - pairs.angle[pair] / np.arctan(max(friction, 1e-6))
     slack = np.clip(
-        (gripper.parameters.opening - width) / (2 * gripper.config.clearance),
+        (gripper.spec.opening - width) / (2 * gripper.config.clearance),
         0.0,
         1.0,
     )

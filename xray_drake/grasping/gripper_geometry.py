@@ -1,68 +1,47 @@
-"""What planning knows of the gripper: its limits, its frames and its boxes."""
+"""What planning knows of a gripper's shape: its frames and its boxes."""
 
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import Box, Cylinder, SceneGraphInspector, Shape
+from pydrake.geometry import (
+    Box,
+    Cylinder,
+    GeometryId,
+    SceneGraphInspector,
+    Shape,
+)
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from xray_drake.configuration import number
+from xray_drake.cell.gripper import GripperSpec
+from xray_drake.configuration import ConfigurationError
 from xray_drake.messages import GraspKind
-from xray_drake.resources import models_dir
+from xray_drake.scene.parsing import configure_parser
 
-FINGER_TRAVEL = 0.025
-"""Travel of one finger joint from open (0) to closed, m (``gripper.sdf``)."""
+CUP = "cup"
+"""Name of the frame at the cup's lip, and of the cup's collision geometry."""
 
+FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
+"""Each from open (0) to closed."""
 
-@dataclass
-class GripperParameters:
-    """What the gripper can do.
-
-    The defaults are those of the ABB YuMi smart gripper where it publishes
-    them (opening, force; also Dex-Net's parameters of this gripper), of
-    PROTOCOL.md (friction) and of Dex-Net 3.0 (cup radius). The rest is chosen,
-    for the reasons given.
-    """
-
-    # Distance of the pads when open, m.
-    opening: float = number(0.05, f"(0, {2 * FINGER_TRAVEL}]")
-    # Largest normal force at each pad, N.
-    force: float = number(20.0, "(0, 1000]")
-    # Coulomb coefficient of pads and cup.
-    friction: float = number(0.5, "(0, 5]")
-    # Width and height of the pad at each fingertip, m (gripper.sdf).
-    pad_width: float = number(0.010, "(0, 0.1]")
-    pad_height: float = number(0.010, "(0, 0.1]")
-    # How far the pad gives way, m: what is closer than this to the first point
-    # of contact touches the pad too.
-    pad_compliance: float = number(0.001, "[0, 0.1]")
-    # Radius of the suction cup's lip, m.
-    cup_radius: float = number(0.015, "(0, 0.1]")
-    # Largest pull of the vacuum, N: 20 kPa below ambient over the cup's area,
-    # π (15 mm)². Chosen: a small ejector on a bellows cup lifts about 1 kg.
-    vacuum_force: float = number(14.0, "(0, 1000]")
-    # Elastic constant κ of the lip in Dex-Net 3.0's model, N. V / 2π: the
-    # moment πrκ = rV/2 is the one at which a lip with linearly varying
-    # pressure, pressed by V in all, would begin to lift on one side.
-    cup_elasticity: float = number(2.2, "(0, 1000]")
-    # What the bellows takes up along its axis, either way, m.
-    bellows_travel: float = number(0.004, "(0, 0.1]")
+_DIGITS = 9
+"""Lengths are rounded to a nanometre, as the file has them."""
 
 
 @dataclass(frozen=True, eq=False)
 class GripperGeometry:
-    """Frames and collision geometry of ``gripper.sdf``.
+    """Frames and collision geometry of a gripper's model.
 
-    Cylinders are represented by their bounding boxes. All boxes are aligned
+    Cylinders are represented by their bounding boxes, a finger and its pad by
+    one box, and the cup goes on to its lip. All boxes are aligned
     with the axes of the base frame B.
 
     Attributes:
         X_BJ: 4×4 pose of the jaw frame in B, m.
-        X_BC: 4×4 pose of the cup frame in B, m.
+        X_BC: 4×4 pose of the cup frame in B, m; None without a cup.
         lower: (n, 3) lower corners in B with the jaw open, m.
         upper: (n, 3) upper corners in B with the jaw open, m.
         closing: (n,) direction along y in which the box moves when the jaw
@@ -71,11 +50,18 @@ class GripperGeometry:
     """
 
     X_BJ: np.ndarray
-    X_BC: np.ndarray
+    X_BC: np.ndarray | None
     lower: np.ndarray
     upper: np.ndarray
     closing: np.ndarray
     round: np.ndarray
+
+    @property
+    def kinds(self) -> tuple[GraspKind, ...]:
+        """What it can grasp with."""
+        if self.X_BC is None:
+            return (GraspKind.JAW,)
+        return GraspKind.JAW, GraspKind.SUCTION
 
     @property
     def tip_length(self) -> float:
@@ -100,8 +86,16 @@ class GripperGeometry:
         return travel[..., None, None] * motion
 
     def frame(self, kind: GraspKind) -> np.ndarray:
-        """Returns the 4×4 pose X_BG of the frame that grasps, m."""
-        return self.X_BC if kind is GraspKind.SUCTION else self.X_BJ
+        """Returns the 4×4 pose X_BG of the frame that grasps, m.
+
+        Raises:
+            ValueError: suction, and there is no cup.
+        """
+        if kind is not GraspKind.SUCTION:
+            return self.X_BJ
+        if self.X_BC is None:
+            raise ValueError("the gripper has no suction cup")
+        return self.X_BC
 
     def approach(
         self, kind: GraspKind, distance: float, standoff: float
@@ -123,7 +117,7 @@ class GripperGeometry:
                 round=np.zeros_like(self.round),
             )
         shut = self.closing_shift(0.0)
-        end = [self.X_BC[0, 3] - standoff, np.inf, np.inf]
+        end = [self.frame(kind)[0, 3] - standoff, np.inf, np.inf]
         return replace(
             self,
             lower=self.lower + shut - [distance, 0.0, 0.0],
@@ -143,29 +137,67 @@ def _half_size(shape: Shape) -> np.ndarray:
     )
 
 
-@cache
-def load_gripper_geometry(path: Path | None = None) -> GripperGeometry:
-    """Reads frames and collision geometry from the gripper's SDFormat file.
-
-    Args:
-        path: of the file; by default the one of the package.
+def gripper_geometry(spec: GripperSpec) -> GripperGeometry:
+    """Returns the geometry of a gripper's model.
 
     Raises:
-        ValueError: a collision geometry that is neither box nor cylinder, or
-            that is not aligned with the base frame.
-        RuntimeError: the file cannot be parsed, or lacks a frame or a joint.
+        ConfigurationError: as :func:`load_gripper_geometry`; or the model is
+            not of that gripper: it opens less, or has no cup.
     """
-    path = path or models_dir() / "gripper" / "gripper.sdf"
+    geometry = load_gripper_geometry(spec.file)
+    if spec.opening > geometry.open_width + 1e-9:
+        raise ConfigurationError(
+            f"opening is {spec.opening:g}, but {spec.file} opens to "
+            f"{geometry.open_width:g} m"
+        )
+    if spec.has_cup and geometry.X_BC is None:
+        raise ConfigurationError(
+            f"cup_radius is {spec.cup_radius:g}, but {spec.file} has no frame "
+            f"{CUP!r}"
+        )
+    return geometry if spec.has_cup else replace(geometry, X_BC=None)
+
+
+@cache
+def load_gripper_geometry(path: Path) -> GripperGeometry:
+    """Reads frames and collision geometry from a gripper's SDFormat file.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ConfigurationError: the file cannot be parsed, or lacks a frame, a body
+            or a joint; a collision geometry that is neither box nor cylinder,
+            or that is not aligned with the base frame.
+    """
+    try:
+        return _read_geometry(path)
+    except (RuntimeError, ValueError) as error:
+        said = " ".join(str(error).split())
+        raise ConfigurationError(f"{path}: {said}") from error
+
+
+def _read_geometry(path: Path) -> GripperGeometry:
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    (model,) = Parser(plant).AddModels(path)
+    parser = Parser(plant)
+    configure_parser(parser)
+    (model,) = parser.AddModels(path)
     base = plant.GetBodyByName("gripper_base", model)
     plant.WeldFrames(plant.world_frame(), base.body_frame())
     plant.Finalize()
     context = plant.CreateDefaultContext()
 
+    def frame(name: str) -> np.ndarray:
+        frame = plant.GetFrameByName(name, model)
+        return frame.CalcPoseInBodyFrame(context).GetAsMatrix4()
+
+    X_BC = frame(CUP) if plant.HasFrameNamed(CUP, model) else None
+    if X_BC is not None and not np.allclose(X_BC[:3, 2], [1, 0, 0]):
+        raise ValueError(f"frame {CUP!r} does not look along gripper_base's x")
+
     closing_of = {}
-    for name in ("left_finger_joint", "right_finger_joint"):
+    for name in FINGER_JOINTS:
         joint = plant.GetJointByName(name, model)
         closing_of[joint.child_body().name()] = float(
             np.sign(joint.translation_axis()[1])
@@ -176,32 +208,55 @@ def load_gripper_geometry(path: Path | None = None) -> GripperGeometry:
     for index in plant.GetBodyIndices(model):
         body = plant.get_body(index)
         X_BL = body.EvalPoseInWorld(context).GetAsMatrix4()
-        for geometry in plant.GetCollisionGeometriesForBody(body):
-            X_LS = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
-            X_BS = X_BL @ X_LS
-            shape = inspector.GetShape(geometry)
-            half = _half_size(shape)
-            R = np.abs(X_BS[:3, :3])
-            if not np.allclose(R, np.round(R), atol=1e-6):
-                raise ValueError(
-                    f"{path}: {inspector.GetName(geometry)} is not aligned "
-                    "with gripper_base"
-                )
-            extent = np.round(R) @ half
-            lower.append(X_BS[:3, 3] - extent)
-            upper.append(X_BS[:3, 3] + extent)
-            round_.append(isinstance(shape, Cylinder) and R[0, 2] > 0.5)
+        own = [
+            _box(inspector, geometry, X_BL, X_BC)
+            for geometry in plant.GetCollisionGeometriesForBody(body)
+        ]
+        if body.name() in closing_of and own:
+            # Finger and pad are one.
+            lows, highs, _ = zip(*own, strict=True)
+            own = [(np.min(lows, axis=0), np.max(highs, axis=0), False)]
+        for low, high, is_round in own:
+            lower.append(low)
+            upper.append(high)
+            round_.append(is_round)
             closing.append(closing_of.get(body.name(), 0.0))
-
-    def frame(name: str) -> np.ndarray:
-        frame = plant.GetFrameByName(name, model)
-        return frame.CalcPoseInBodyFrame(context).GetAsMatrix4()
-
     return GripperGeometry(
         X_BJ=frame("jaw"),
-        X_BC=frame("cup"),
+        X_BC=X_BC,
         lower=np.array(lower),
         upper=np.array(upper),
         closing=np.array(closing),
         round=np.array(round_),
     )
+
+
+def _box(
+    inspector: SceneGraphInspector,
+    geometry: GeometryId,
+    X_BL: np.ndarray,
+    X_BC: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Returns corners of a geometry, and whether it is round along x.
+
+    The cup's bellows, which does not collide, is part of the cup.
+
+    Args:
+        inspector: knows it.
+        geometry: of a body L.
+        X_BL: 4×4 pose of the body, m.
+        X_BC: 4×4 pose of the cup frame, if there is one, m.
+    """
+    name = inspector.GetName(geometry).split("::")[-1]
+    X_BS = X_BL @ inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+    shape = inspector.GetShape(geometry)
+    half = _half_size(shape)
+    R = np.abs(X_BS[:3, :3])
+    if not np.allclose(R, np.round(R), atol=1e-6):
+        raise ValueError(f"{name} is not aligned with gripper_base")
+    extent = np.round(R) @ half
+    low, high = X_BS[:3, 3] - extent, X_BS[:3, 3] + extent
+    if X_BC is not None and name == CUP:
+        high[0] = X_BC[0, 3]
+    is_round = isinstance(shape, Cylinder) and R[0, 2] > 0.5
+    return np.round(low, _DIGITS), np.round(high, _DIGITS), is_round

@@ -117,7 +117,7 @@ def _seal(
     overtravel: float,
 ) -> _Grip:
     seal = seen.lay_cup(X_WG)
-    travel = gripper.parameters.bellows_travel
+    travel = gripper.spec.bellows_travel
     shortest = -gripper.config.max_retreat - travel
     limits = {
         "cup does not seal": ~seal.closed,

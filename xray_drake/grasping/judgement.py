@@ -5,11 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xray_drake.cell.gripper import GripperSpec, load_gripper
 from xray_drake.configuration import number
-from xray_drake.grasping.gripper_geometry import (
-    GripperParameters,
-    load_gripper_geometry,
-)
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 from xray_drake.grasping.wrench import suction_holding_force
 
 GRAVITY = 9.81
@@ -106,7 +104,7 @@ class GripperModel:
     """What the gripper can do, where its parts are, and how it is judged.
 
     Attributes:
-        parameters: its limits.
+        spec: its limits.
         config: how execution is judged.
         geometry: its frames and boxes.
         lip: of its cup.
@@ -114,15 +112,24 @@ class GripperModel:
 
     def __init__(
         self,
-        parameters: GripperParameters | None = None,
+        spec: GripperSpec | None = None,
         config: JudgementConfig | None = None,
     ) -> None:
-        """Reads the package's gripper; limits and rules are the defaults."""
-        self.parameters = parameters or GripperParameters()
+        """Reads its model.
+
+        Args:
+            spec: of the gripper; by default the nominal cell's.
+            config: how execution is judged.
+
+        Raises:
+            ConfigurationError: the model cannot be read, or is not of that
+                gripper.
+        """
+        self.spec = spec or load_gripper()
         self.config = config or JudgementConfig()
-        self.geometry = load_gripper_geometry()
+        self.geometry = gripper_geometry(self.spec)
         self.lip = Lip(
-            self.parameters.cup_radius,
+            self.spec.cup_radius,
             self.config.seal_tolerance,
             self.config.seal_angle,
         )
@@ -137,13 +144,11 @@ class GripperModel:
         Args:
             width: (...) distances of the contacts, m.
         """
-        return np.minimum(
-            width + 2 * self.config.clearance, self.parameters.opening
-        )
+        return np.minimum(width + 2 * self.config.clearance, self.spec.opening)
 
     def most_held(self, friction: float) -> float:
         """Returns two friction cones' edges: no jaw holds more, N."""
-        return 2 * self.parameters.force * float(np.sqrt(1 + friction**2))
+        return 2 * self.spec.force * float(np.sqrt(1 + friction**2))
 
     def cup_holds(
         self,
@@ -161,7 +166,7 @@ class GripperModel:
         return suction_holding_force(
             np.einsum("nji,nj->ni", R_WC, lever),
             np.einsum("nji,j->ni", R_WC, DOWN),
-            self.parameters,
+            self.spec,
             friction,
         )
 
@@ -179,7 +184,7 @@ class GripperModel:
         Returns:
             (...) array; inf where the approach does not descend.
         """
-        half_x = 0.5 * self.parameters.pad_width
+        half_x = 0.5 * self.spec.pad_width
         half_y = 0.5 * np.asarray(opening) + self._tip_y
         lowest = (
             X_WG[..., 2, 3]

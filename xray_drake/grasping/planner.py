@@ -136,7 +136,7 @@ class GraspPlanner(Generic[Known]):
     ) -> list[Grasp]:
         seen = self.evidence.look(name, known)
         if seen is None:
-            for kind in (GraspKind.JAW, GraspKind.SUCTION):
+            for kind in self.evidence.gripper.geometry.kinds:
                 failures[kind, "too little is seen of the object"] += 1
             return []
         found: list[Grasp] = []

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
-from xray_drake.grasping.gripper_geometry import GripperParameters
+from xray_drake.cell.gripper import GripperSpec
 
 CONE_EDGES = 8
 """Edges of the linearised friction cone."""
@@ -129,7 +129,7 @@ def jaw_holding_force(
 def suction_holding_force(
     lever: np.ndarray,
     gravity: np.ndarray,
-    parameters: GripperParameters,
+    gripper: GripperSpec,
     friction: np.ndarray | float,
 ) -> np.ndarray:
     """Returns the largest weight that a sealed cup can hold, N; 0 for none.
@@ -148,7 +148,7 @@ def suction_holding_force(
         lever: (..., 3) centre of mass minus centre of the lip, in the contact
             frame (z along the approach, into the object), m.
         gravity: (..., 3) unit direction of the weight in the contact frame.
-        parameters: of the gripper: V, r and κ.
+        gripper: its V, r and κ.
         friction: (...) Coulomb coefficient μ.
 
     Returns:
@@ -160,8 +160,8 @@ def suction_holding_force(
     torque = np.abs(np.cross(lever, gravity))
     sliding = np.abs(gravity)
     root2, root3 = np.sqrt(2.0), np.sqrt(3.0)
-    vacuum_force, r = parameters.vacuum_force, parameters.cup_radius
-    grip, lip = friction * vacuum_force, np.pi * r * parameters.cup_elasticity
+    vacuum_force, r = gripper.vacuum_force, gripper.cup_radius
+    grip, lip = friction * vacuum_force, np.pi * r * gripper.cup_elasticity
     need = np.stack(
         [
             pull / vacuum_force,

@@ -42,9 +42,10 @@ class GripperController(TransferSystem[ContactState, Measured]):
     outputs are their desired states. ``cup_state``
     (:class:`~xray_drake.gripper.suction.CupState`) comes from the
     :class:`~xray_drake.gripper.suction_cup.SuctionCup`, and
-    ``suction`` (1) goes to it. ``at_rest`` (1) says whether the cell is at
-    rest, see :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it
-    is taken to be so soon after the gripper is home.
+    ``suction`` (1) goes to it; a gripper without a cup leaves both open.
+    ``at_rest`` (1) says whether the cell is at rest, see
+    :class:`~xray_drake.gripper.rest_sensor.RestSensor`; left open, it is taken
+    to be so soon after the gripper is home.
 
     ``status`` (:class:`~xray_drake.messages.GripperStatus`) is as the gripper
     measures it: ``held`` is what it meant to take, if it holds anything.
@@ -56,7 +57,7 @@ class GripperController(TransferSystem[ContactState, Measured]):
         gripper: YumiGripper,
         tote: Tote | None = None,
         config: ExecutionConfig | None = None,
-        force: float = 20.0,
+        force: float | None = None,
         period: float = 0.01,
         time_step: float = 0.005,
     ) -> None:
@@ -66,7 +67,7 @@ class GripperController(TransferSystem[ContactState, Measured]):
             gripper: what it moves.
             tote: where it puts objects down; by default the nominal cell's.
             config: how.
-            force: squeeze of each finger, N.
+            force: squeeze of each finger, N; by default all that it can.
             period: of the state machine, s.
             time_step: of the plant, s: the delay of its position control.
         """
@@ -118,7 +119,9 @@ class GripperController(TransferSystem[ContactState, Measured]):
                 q, v, *state.path.sample(due), state.path.acceleration(due)
             ),
             finger=float(self._fingers.Eval(context)[:2].mean()),
-            cup=self._cup.Eval(context),
+            cup=self._cup.Eval(context)
+            if self._cup.HasValue(context)
+            else CupState(),
             at_rest=not self._at_rest.HasValue(context)
             or bool(self._at_rest.Eval(context)[0] > 0.5),
         )

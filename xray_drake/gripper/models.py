@@ -1,6 +1,7 @@
 """The model files of gripper, wrist and arm, and what they say of joints."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -8,23 +9,23 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, Joint, ModelInstanceIndex
 
-from xray_drake.resources import PACKAGE_NAME
+from xray_drake.resources import models_dir
 from xray_drake.scene.parsing import configure_parser
 
 
-def add_model(plant: MultibodyPlant, file: str) -> ModelInstanceIndex:
-    """Adds the one model of a file in ``models/gripper`` to a plant."""
+def add_model(plant: MultibodyPlant, file: Path) -> ModelInstanceIndex:
+    """Adds the one model of a file to a plant."""
     parser = Parser(plant)
     configure_parser(parser)
-    (instance,) = parser.AddModelsFromUrl(
-        f"package://{PACKAGE_NAME}/gripper/{file}"
-    )
+    (instance,) = parser.AddModels(file)
     return instance
 
 
-def add_hand(plant: MultibodyPlant, tool: Frame) -> ModelInstanceIndex:
-    """Adds the gripper to a plant, welded by its base to a tool frame."""
-    hand = add_model(plant, "yumi_gripper.sdf")
+def add_hand(
+    plant: MultibodyPlant, tool: Frame, file: Path
+) -> ModelInstanceIndex:
+    """Adds a gripper to a plant, welded by its base to a tool frame."""
+    hand = add_model(plant, file)
     plant.WeldFrames(tool, plant.GetFrameByName("gripper_base", hand))
     return hand
 
@@ -40,7 +41,7 @@ def add_carrier(
         base: frame of the model that is welded to the world.
         X_WA: 4×4 pose of that frame, m.
     """
-    carrier = add_model(plant, file)
+    carrier = add_model(plant, models_dir() / "gripper" / file)
     plant.WeldFrames(
         plant.world_frame(),
         plant.GetFrameByName(base, carrier),

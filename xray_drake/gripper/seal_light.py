@@ -8,11 +8,8 @@ from pydrake.systems.framework import Context, EventStatus
 from xray_drake.gripper.suction import CupState
 from xray_drake.lifetimes import CollectableLeafSystem
 
-GRIPPER_PATH = "visualizer/yumi_gripper/gripper_base"
-"""Where Drake's visualizer draws the gripper's base."""
-
 _COLORS = {"drawing": Rgba(0.95, 0.75, 0.1), "sealed": Rgba(0.1, 0.75, 0.25)}
-_RADIUS, _HEIGHT = 0.0155, 0.0035
+_WIDER, _HEIGHT = 0.0005, 0.0035
 """m: a sleeve around the cup's lip."""
 
 
@@ -34,6 +31,8 @@ class SealLight(CollectableLeafSystem):
         meshcat: Meshcat,
         X_BC: np.ndarray,
         *,
+        path: str,
+        radius: float,
         sealed: float = 0.9,
         period: float = 1 / 32,
     ) -> None:
@@ -43,6 +42,8 @@ class SealLight(CollectableLeafSystem):
             meshcat: shows the gripper.
             X_BC: 4×4 pose of the cup's lip in the gripper's base, m; z points
                 out of it.
+            path: where Meshcat shows that base.
+            radius: of the lip, m.
             sealed: share of the full vacuum from which it counts as sealed.
             period: how often it looks, s.
         """
@@ -50,6 +51,8 @@ class SealLight(CollectableLeafSystem):
         self.set_name("seal_light")
         self._meshcat = meshcat
         self._X_BC = RigidTransform(X_BC)
+        self._path = path
+        self._radius = radius + _WIDER
         self._sealed = sealed
         self._shown: str | None = None
         self._cup = self.declare_input("cup_state", CupState())
@@ -65,8 +68,9 @@ class SealLight(CollectableLeafSystem):
     def _draw(self) -> None:
         X_CS = RigidTransform([0.0, 0.0, -_HEIGHT / 2])
         for name, color in _COLORS.items():
-            path = f"{GRIPPER_PATH}/{name}"
-            self._meshcat.SetObject(path, Cylinder(_RADIUS, _HEIGHT), color)
+            path = f"{self._path}/{name}"
+            sleeve = Cylinder(self._radius, _HEIGHT)
+            self._meshcat.SetObject(path, sleeve, color)
             self._meshcat.SetTransform(path, self._X_BC @ X_CS)
             self._meshcat.SetProperty(path, "visible", False)
 
@@ -81,7 +85,7 @@ class SealLight(CollectableLeafSystem):
             self._draw()
         for name in _COLORS:
             self._meshcat.SetProperty(
-                f"{GRIPPER_PATH}/{name}",
+                f"{self._path}/{name}",
                 "visible",
                 name == shown,
                 time_in_recording=context.get_time(),

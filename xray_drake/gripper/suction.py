@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from xray_drake.cell.gripper import GripperSpec, load_gripper
 from xray_drake.configuration import number
-from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.messages import Message
 
 
@@ -36,11 +36,11 @@ class Cup:
     vector (rad) over translation (m).
 
     Attributes:
-        parameters: what planning knows of it, too.
+        gripper: what planning knows of it, too.
         config: the rest.
     """
 
-    parameters: GripperParameters = field(default_factory=GripperParameters)
+    gripper: GripperSpec = field(default_factory=load_gripper)
     config: SuctionConfig = field(default_factory=SuctionConfig)
 
     @property
@@ -51,7 +51,7 @@ class Cup:
         sideways it is as stiff. A ring of springs of that stiffness k in all
         resists a tilt by k r²/2 and a twist by k r².
         """
-        p = self.parameters
+        p = self.gripper
         k = p.vacuum_force / (2 * p.bellows_travel)
         tilt = 0.5 * k * p.cup_radius**2
         return np.array([tilt, tilt, 2 * tilt, k, k, k])
@@ -78,7 +78,7 @@ class Cup:
             wrench: (6,).
             vacuum: reached by now, as a share of ``vacuum_force``.
         """
-        torque, force, p = wrench[:3], wrench[3:], self.parameters
+        torque, force, p = wrench[:3], wrench[3:], self.gripper
         slide = np.hypot(np.hypot(force[0], force[1]), torque[2] / p.cup_radius)
         grip = slide / p.friction - force[2]
         bend = np.hypot(torque[0], torque[1])

@@ -95,7 +95,7 @@ class SuctionCup(CollectableLeafSystem):
         self._gripper = gripper
         self._X_BC = np.array(X_BC)
         self._cup = cup or Cup()
-        radius = self._cup.parameters.cup_radius
+        radius = self._cup.gripper.cup_radius
         self._lip = Lip(radius, seal_tolerance, seal_angle)
         self._step = time_step
         self._look_every = max(1, round(look_period / time_step))
@@ -218,7 +218,7 @@ class SuctionCup(CollectableLeafSystem):
             if (
                 seal.closed[0]
                 and farthest <= self._cup.config.reach
-                and nearest >= -2 * self._cup.parameters.bellows_travel
+                and nearest >= -2 * self._cup.gripper.bellows_travel
                 and not self._covered(near, name, farthest)
             ):
                 return replace(CupState(drawing=True), object=name, X_OC=X_OC)

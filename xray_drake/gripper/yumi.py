@@ -1,4 +1,4 @@
-"""Puts the YuMi-like gripper on its carrier into a MultibodyPlant."""
+"""Puts a gripper on its carrier into a MultibodyPlant."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,13 +14,15 @@ from pydrake.multibody.tree import (
 
 from xray_drake.cell.cell import Cell
 from xray_drake.choices import CARRIERS
+from xray_drake.grasping.gripper_geometry import (
+    FINGER_JOINTS,
+    gripper_geometry,
+)
 from xray_drake.gripper.carriers.arm import Arm
 from xray_drake.gripper.carriers.arm_cell import YUMI_ARM
 from xray_drake.gripper.carriers.carrier import Carrier
 from xray_drake.gripper.carriers.wrist import add_wrist, make_wrist
 from xray_drake.gripper.models import add_hand, moving_joints
-
-FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +36,11 @@ class YumiGripper:
         plant: in which they stand.
         carrier_instance: the joints of the wrist or of the arm.
         finger_instance: the joints of the left and of the right finger, each
-            from open (0) to closed (25 mm).
+            from open (0) to closed (``finger_travel``).
         base_index: of ``base``.
         carrier: its kinematics, limits and paths.
         X_BJ: 4×4 pose of the jaw frame in B, m.
-        X_BC: 4×4 pose of the cup frame in B, m.
+        X_BC: 4×4 pose of the cup frame in B, m; None without a cup.
         finger_travel: of each finger, m.
         finger_speed: highest speed of each finger, m/s.
         finger_force: largest force of each finger, N.
@@ -51,7 +53,7 @@ class YumiGripper:
     base_index: BodyIndex
     carrier: Carrier
     X_BJ: np.ndarray
-    X_BC: np.ndarray
+    X_BC: np.ndarray | None
     finger_travel: float
     finger_speed: float
     finger_force: float
@@ -61,6 +63,12 @@ class YumiGripper:
     def base(self) -> RigidBody:
         """The gripper's body, whose frame B is the carrier's tool frame."""
         return self.plant.get_body(self.base_index)
+
+    @property
+    def meshcat_path(self) -> str:
+        """Where Drake's visualizer draws its base."""
+        name = self.plant.GetModelInstanceName(self.finger_instance)
+        return f"visualizer/{name}/{self.base.name()}"
 
     def bodies(self, plant: MultibodyPlant) -> list[RigidBody]:
         """Returns the bodies that can touch something: base and fingers."""
@@ -105,28 +113,26 @@ def add_gripper(
     Args:
         plant: discrete, not finalized.
         carrier: one of :data:`xray_drake.choices.CARRIERS`.
-        cell: says where it is mounted and waits; by default the nominal one.
+        cell: says which gripper, where it is mounted and waits; by default
+            the nominal one.
 
     Raises:
         ReachError: the wrist cannot be at home.
+        ConfigurationError: the gripper's model cannot be read.
     """
     add, make = _CARRIERS[carrier]
     cell = cell or Cell()
+    spec = cell.gripper.spec
+    geometry = gripper_geometry(spec)
     arm, tool = add(plant, cell)
-    hand = add_hand(plant, tool)
+    hand = add_hand(plant, tool, spec.file)
     base = plant.GetBodyByName("gripper_base", hand)
     for instance in (arm, hand):
         plant.set_gravity_enabled(instance, False)
     left, right = (plant.GetJointByName(name, hand) for name in FINGER_JOINTS)
     plant.AddCouplerConstraint(left, right, 1.0)
 
-    X_BJ, X_BC = (
-        plant.GetFrameByName(name, hand)
-        .GetFixedPoseInBodyFrame()
-        .GetAsMatrix4()
-        for name in ("jaw", "cup")
-    )
-    kinematics = make(plant, arm, hand, X_BJ, cell)
+    kinematics = make(plant, arm, hand, geometry.X_BJ, cell)
     joints = moving_joints(plant, arm)
     for joint, position in zip(joints, kinematics.home, strict=True):
         joint.set_default_positions([position])
@@ -137,8 +143,8 @@ def add_gripper(
         finger_instance=hand,
         base_index=base.index(),
         carrier=kinematics,
-        X_BJ=X_BJ,
-        X_BC=X_BC,
+        X_BJ=geometry.X_BJ,
+        X_BC=geometry.X_BC,
         finger_travel=float(left.position_upper_limits()[0]),
         finger_speed=float(left.velocity_upper_limits()[0]),
         finger_force=finger.effort_limit(),

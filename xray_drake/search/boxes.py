@@ -191,7 +191,7 @@ def _add_grasped_body(
     body = boxes.add(
         lambda: GraspedBody(
             bodies=inside.bodies,
-            parameters=inside.scenario.gripper.parameters,
+            gripper=inside.scenario.cell.gripper.spec,
             **inside.image_size,
         ),
         "action",
@@ -211,7 +211,7 @@ def _policy(
         planner = GraspPlanner(
             DepthEvidence(
                 bin_=scenario.cell.bin,
-                parameters=gripper.parameters,
+                gripper=scenario.cell.gripper.spec,
                 config=gripper.depth_planner,
                 seed=scenario.seed,
             )

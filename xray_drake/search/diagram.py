@@ -112,7 +112,7 @@ def build_search_diagram(
         ModelEvidence(
             heap.models,
             bin_=scenario.cell.bin,
-            parameters=scenario.gripper.parameters,
+            gripper=scenario.cell.gripper.spec,
             config=scenario.gripper.planner,
             seed=scenario.seed,
         )

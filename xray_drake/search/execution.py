@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder, System
 
-from xray_drake.grasping.gripper_geometry import load_gripper_geometry
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 from xray_drake.gripper.actuation.ideal import (
     Judge,
     QuasiStaticGripper,
@@ -35,9 +35,9 @@ def add_execution(
 ) -> list[System]:
     """Adds ``gripper_controller``, by contact with all that it feels with.
 
-    By contact there are ``suction_cup`` and ``rest_sensor`` as well, and with a
-    Meshcat ``seal_light``. Whatever the execution, the rest of the diagram
-    sees ``action`` and ``status`` alone.
+    By contact there is ``rest_sensor`` as well; if the gripper has one,
+    ``suction_cup``; and with a Meshcat its ``seal_light``. Whatever the
+    execution, the rest of the diagram sees ``action`` and ``status`` alone.
 
     Args:
         builder: holds the station already.
@@ -78,8 +78,7 @@ def _quasi_static(
             judge=judge,
             objects=heap.models,
             bodies=bodies,
-            geometry=load_gripper_geometry(),
-            opening=scenario.gripper.parameters.opening,
+            geometry=gripper_geometry(scenario.cell.gripper.spec),
             cell=scenario.cell,
             config=scenario.gripper.quasi_static,
             seed=scenario.seed,
@@ -104,45 +103,58 @@ def _contact(
     gripper: YumiGripper,
     meshcat: Meshcat | None,
 ) -> tuple[list[System], list[_Wire]]:
-    config, parameters = scenario.gripper, scenario.gripper.parameters
+    config, spec = scenario.gripper, scenario.cell.gripper.spec
     time_step = scenario.plant_config.time_step
     controller = builder.AddSystem(
         GripperController(
             gripper=gripper,
             tote=scenario.cell.placed_tote,
             config=config.contact,
-            force=parameters.force,
+            force=spec.force,
             time_step=time_step,
         )
     )
-    cup = builder.AddSystem(
-        SuctionCup(
-            objects=heap.models,
-            bodies=bodies,
-            gripper=int(gripper.base.index()),
-            X_BC=gripper.X_BC,
-            cup=Cup(parameters, config.suction),
-            time_step=time_step,
-        )
-    )
-    rest = builder.AddSystem(RestSensor(objects=heap.models, bodies=bodies))
-    velocities = "body_spatial_velocities"
+    added: list[System] = [controller]
     wires: list[_Wire] = [
         (station, "carrier.state", controller, "carrier_state"),
         (station, "fingers.state", controller, "finger_state"),
-        (cup, "state", controller, "cup_state"),
-        (rest, "at_rest", controller, "at_rest"),
         (controller, "carrier_desired_state", station, "carrier.desired_state"),
         (controller, "finger_desired_state", station, "fingers.desired_state"),
-        (controller, "suction", cup, "suction"),
-        (station, "cheat.body_poses", cup, "body_poses"),
-        (station, f"cheat.{velocities}", cup, velocities),
-        (cup, "applied_spatial_force", station, "applied_spatial_force"),
+    ]
+    if gripper.X_BC is not None:
+        cup = builder.AddSystem(
+            SuctionCup(
+                objects=heap.models,
+                bodies=bodies,
+                gripper=int(gripper.base.index()),
+                X_BC=gripper.X_BC,
+                cup=Cup(spec, config.suction),
+                time_step=time_step,
+            )
+        )
+        added.append(cup)
+        velocities = "body_spatial_velocities"
+        wires += [
+            (cup, "state", controller, "cup_state"),
+            (controller, "suction", cup, "suction"),
+            (station, "cheat.body_poses", cup, "body_poses"),
+            (station, f"cheat.{velocities}", cup, velocities),
+            (cup, "applied_spatial_force", station, "applied_spatial_force"),
+        ]
+    rest = builder.AddSystem(RestSensor(objects=heap.models, bodies=bodies))
+    wires += [
+        (rest, "at_rest", controller, "at_rest"),
         (station, "cheat.body_poses", rest, "body_poses"),
     ]
-    if meshcat is not None:
+    if meshcat is not None and gripper.X_BC is not None:
         light = builder.AddSystem(
-            SealLight(meshcat, gripper.X_BC, sealed=config.contact.sealed)
+            SealLight(
+                meshcat,
+                gripper.X_BC,
+                path=gripper.meshcat_path,
+                radius=spec.cup_radius,
+                sealed=config.contact.sealed,
+            )
         )
         wires.append((cup, "state", light, "cup_state"))
-    return [controller, cup, rest], wires
+    return [*added, rest], wires

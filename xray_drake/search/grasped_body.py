@@ -11,8 +11,8 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I
 
+from xray_drake.cell.gripper import GripperSpec, load_gripper
 from xray_drake.geometry.camera import PinholeCamera
-from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import Grasp, GraspKind, SearchAction
 
@@ -26,7 +26,7 @@ def body_under_grasp(
     depth: np.ndarray,
     camera: PinholeCamera,
     names: Mapping[str, int],
-    parameters: GripperParameters,
+    gripper: GripperSpec,
 ) -> str:
     """Returns the object most of which is seen where a grasp closes.
 
@@ -39,7 +39,7 @@ def body_under_grasp(
         depth: (H, W) z-depth as it truly is, m.
         camera: of both images.
         names: object to its value in the label image.
-        parameters: of the gripper.
+        gripper: that grasps.
 
     Returns:
         Its name; empty where no object is seen there.
@@ -53,15 +53,15 @@ def body_under_grasp(
     if grasp.kind is GraspKind.JAW:
         there = (
             read
-            & (np.abs(x) <= 0.5 * parameters.pad_width + _SLACK)
+            & (np.abs(x) <= 0.5 * gripper.pad_width + _SLACK)
             & (np.abs(y) <= 0.5 * grasp.width + _SLACK)
-            & (z <= 0.5 * parameters.pad_height)
+            & (z <= 0.5 * gripper.pad_height)
         )
     else:
         there = (
             read
-            & (np.hypot(x, y) <= parameters.cup_radius)
-            & (np.abs(z) <= parameters.bellows_travel + _SLACK)
+            & (np.hypot(x, y) <= gripper.cup_radius)
+            & (np.abs(z) <= gripper.bellows_travel + _SLACK)
         )
     counts = {
         name: int(np.count_nonzero(there & (labels == label)))
@@ -100,7 +100,7 @@ class GraspedBody(CollectableLeafSystem):
         self,
         *,
         bodies: Mapping[str, int],
-        parameters: GripperParameters | None = None,
+        gripper: GripperSpec | None = None,
         width: int = 512,
         height: int = 384,
     ) -> None:
@@ -109,14 +109,14 @@ class GraspedBody(CollectableLeafSystem):
         Args:
             bodies: object name to its index in ``body_poses``, which is its
                 value in the label image.
-            parameters: of the gripper.
+            gripper: that grasps; by default the nominal cell's.
             width: of the images, pixels.
             height: of the images, pixels.
         """
         super().__init__()
         self.set_name("grasped_body")
         self._bodies = dict(bodies)
-        self._parameters = parameters or GripperParameters()
+        self._gripper = gripper or load_gripper()
         self._action = self.declare_input("action", SearchAction())
         self._label_image = self.declare_input(
             "label_image", ImageLabel16I(width, height)
@@ -143,7 +143,7 @@ class GraspedBody(CollectableLeafSystem):
             self._depth_image.Eval(context).data[:, :, 0].astype(float),
             self._camera.Eval(context),
             self._bodies,
-            self._parameters,
+            self._gripper,
         )
         if not name:
             return replace(grasp, object="")

@@ -183,8 +183,6 @@ class GripperConfig:
     # What carries the gripper of "contact": "wrist", three slides and three
     # turns; or "arm", seven turning joints that do not reach everywhere.
     carrier: str = choice("wrist", CARRIERS)
-    # What the gripper can do.
-    parameters: GripperParameters = field(default_factory=GripperParameters)
     # How "models" searches for grasps.
     planner: ModelPlannerConfig = field(default_factory=ModelPlannerConfig)
     # How "depth" does.

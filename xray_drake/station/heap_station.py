@@ -1,6 +1,7 @@
 """The bin station: a heap at rest under an overhead camera."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from pydrake.geometry import (
     Meshcat,
@@ -17,7 +18,6 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
 from xray_drake.gripper.yumi import YumiGripper, add_gripper
-from xray_drake.resources import PACKAGE_NAME
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.parsing import configure_parser
@@ -98,7 +98,9 @@ def build_heap_station(
         add_grip_surfaces(plant, scene_graph, gripper, items)
     plant.Finalize()
     if gripper is None:
-        _add_drawn_gripper(builder, scene_graph)
+        _add_drawn_gripper(
+            builder, scene_graph, scenario.cell.gripper.spec.file
+        )
     if meshcat is not None:
         period = scenario.visualization.publish_period
         MeshcatVisualizer.AddToBuilder(
@@ -157,7 +159,7 @@ def _export_plant(
 
 
 def _add_drawn_gripper(
-    builder: DiagramBuilder, scene_graph: SceneGraph
+    builder: DiagramBuilder, scene_graph: SceneGraph, file: Path
 ) -> None:
     """Adds a gripper that is seen in Meshcat and nowhere else.
 
@@ -169,7 +171,7 @@ def _add_drawn_gripper(
     gripper.RegisterAsSourceForSceneGraph(scene_graph)
     parser = Parser(gripper, "drawn")
     configure_parser(parser)
-    parser.AddModelsFromUrl(f"package://{PACKAGE_NAME}/gripper/gripper.sdf")
+    parser.AddModels(file)
     gripper.Finalize()
     source = gripper.get_source_id()
     inspector = scene_graph.model_inspector()

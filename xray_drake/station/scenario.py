@@ -43,6 +43,7 @@ from xray_drake.configuration import (
     with_paths,
 )
 from xray_drake.faults import BREAKDOWNS
+from xray_drake.grasping.gripper_geometry import gripper_geometry
 from xray_drake.occupancy.geometric.config import (
     check_label,
 )
@@ -277,6 +278,12 @@ def _renamed(tree: dict[str, Any], source: str) -> dict[str, Any]:
             # Nor did the inference follow it.
             perception.setdefault("occupancy", "learned")
         tree["cell"].setdefault("overhead", camera)
+    gripper, cell = tree.get("gripper"), tree.get("cell", {})
+    if isinstance(gripper, dict) and isinstance(cell, dict):
+        owner = cell.get("gripper", {})
+        if "parameters" in gripper and isinstance(owner, dict):
+            owner = {"parameters": gripper.pop("parameters")} | owner
+            tree["cell"] = cell | {"gripper": owner}
     return tree
 
 
@@ -324,6 +331,10 @@ def check_scenario(
         POLICIES[scenario.policy.name]
     except PolicyError as error:
         raise ScenarioError(f"{source}: policy.name: {error}") from error
+    try:
+        gripper_geometry(scenario.cell.gripper.spec)
+    except ConfigurationError as error:
+        raise ScenarioError(f"{source}: cell.gripper: {error}") from error
     perception = scenario.perception
     path = weights_path(perception)
     if perception.occupancy not in WITHOUT_NETWORK and not path.is_dir():
@@ -397,12 +408,12 @@ def weights_path(perception: PerceptionConfig) -> Path:
 def _contact_complaints(scenario: Scenario) -> Iterator[str]:
     """Yields what the gripper in the plant cannot do with."""
     for name in ("pad_width", "pad_height"):
-        path = f"gripper.parameters.{name}"
-        given, built = (attrgetter(path)(s) for s in (scenario, Scenario()))
-        if given != built:
+        value = scenario.cell.gripper.parameters.get(name)
+        if value is not None:
             yield (
-                f"gripper.execution is contact, but {path} is {given}: the "
-                f"gripper in the plant has {built}"
+                f"gripper.execution is contact, but cell.gripper.parameters."
+                f"{name} is {value}: the gripper in the plant has the pads of "
+                "its model; leave it out"
             )
     for key, wanted in (
         ("contact_model", CONTACT_MODELS[1:]),

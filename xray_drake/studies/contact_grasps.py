@@ -228,15 +228,15 @@ def _draw_grasps(
     """
     evidence = ModelEvidence([model], seed=seed)
     real, friction = GraspPlanner(evidence), evidence.friction(model.name)
-    parameters = evidence.gripper.parameters
+    spec = evidence.gripper.spec
     strong = replace(
-        parameters,
+        spec,
         friction=LOOSE_FRICTION,
-        vacuum_force=LOOSE_STRENGTH * parameters.vacuum_force,
-        cup_elasticity=LOOSE_STRENGTH * parameters.cup_elasticity,
+        vacuum_force=LOOSE_STRENGTH * spec.vacuum_force,
+        cup_elasticity=LOOSE_STRENGTH * spec.cup_elasticity,
     )
     poses, X_OW = {model.name: X_WO}, np.linalg.inv(X_WO)
-    loose = ModelEvidence([model], parameters=strong, seed=seed)
+    loose = ModelEvidence([model], gripper=strong, seed=seed)
     both = loose.look(model.name, poses).all_candidates(Failures())
     for candidates in both:
         wanted = {True, False}
@@ -380,7 +380,9 @@ class GraspCell:
         )
         X_WB = gripper.base.EvalPoseInWorld(context).GetAsMatrix4()
         jaw = grasp.kind is GraspKind.JAW
-        X_WG = X_WB @ (gripper.X_BJ if jaw else gripper.X_BC)
+        X_BG = gripper.X_BJ if jaw else gripper.X_BC
+        assert X_BG is not None
+        X_WG = X_WB @ X_BG
         now = X_WG[:3, :3].T @ X_WO[:3, :3]
         turn = Rotation.from_matrix(grasp.X_OG[:3, :3] @ now)
         return float(np.rad2deg(turn.magnitude()))

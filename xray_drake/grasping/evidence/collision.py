@@ -102,8 +102,9 @@ class GraspScene:
         if len({model.name for model in objects}) != len(objects):
             raise ValueError("objects of a grasp scene need unique names")
         self._open_width = gripper.open_width
-        self._X_JB = np.linalg.inv(gripper.X_BJ)
-        self._X_CB = np.linalg.inv(gripper.X_BC)
+        self._X_GB = {
+            kind: np.linalg.inv(gripper.frame(kind)) for kind in gripper.kinds
+        }
 
         builder = DiagramBuilder()
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
@@ -117,22 +118,24 @@ class GraspScene:
         )
 
         self._instance = plant.AddModelInstance("grasp_scene")
-        jaw, cup = (
+        jaw, *cups = (
             gripper.approach(kind, approach_distance, cup_standoff)
-            for kind in (GraspKind.JAW, GraspKind.SUCTION)
+            for kind in gripper.kinds
         )
         self._base, *fingers = (
             self._add_tool(f"jaw_{side:g}", jaw, jaw.closing == side)
             for side in (0.0, -1.0, 1.0)
         )
         self._fingers = dict(zip((-1.0, 1.0), fingers, strict=True))
-        self._suction = self._add_tool("suction", cup, cup.closing == 0.0)
+        self._suctions = [
+            self._add_tool("suction", cup, cup.closing == 0.0) for cup in cups
+        ]
         self._objects = {
             model.name: self._add_object(model) for model in objects
         }
         plant.Finalize()
 
-        tools = [self._base, *fingers, self._suction]
+        tools = [self._base, *fingers, *self._suctions]
         for group in ([*self._objects.values(), bin_body], tools):
             scene_graph.collision_filter_manager().Apply(
                 CollisionFilterDeclaration().ExcludeWithin(
@@ -215,17 +218,20 @@ class GraspScene:
         return self._plant.get_geometry_query_input_port().Eval(self._context)
 
     def _set_jaw(self, X_WG: np.ndarray, opening: float) -> None:
-        X_WB = RigidTransform(X_WG @ self._X_JB)
+        X_WB = RigidTransform(X_WG @ self._X_GB[GraspKind.JAW])
         self._place(self._base, X_WB)
         travel = 0.5 * (self._open_width - opening)
         for side, body in self._fingers.items():
             self._place(body, X_WB @ RigidTransform([0, side * travel, 0]))
-        self._place(self._suction, _TOOL_AWAY)
+        for body in self._suctions:
+            self._place(body, _TOOL_AWAY)
 
     def _set_suction(self, X_WG: np.ndarray) -> None:
         for body in [self._base, *self._fingers.values()]:
             self._place(body, _TOOL_AWAY)
-        self._place(self._suction, RigidTransform(X_WG @ self._X_CB))
+        X_WB = RigidTransform(X_WG @ self._X_GB[GraspKind.SUCTION])
+        for body in self._suctions:
+            self._place(body, X_WB)
 
     def jaw_collides(self, X_WG: np.ndarray, opening: float) -> bool:
         """Returns whether the approach of the jaw hits anything.

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from xray_drake.cell.bin import Bin
+from xray_drake.cell.gripper import GripperSpec
 from xray_drake.configuration import count, number
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.grasping.candidates import (
@@ -40,7 +41,6 @@ from xray_drake.grasping.evidence.rims import (
     pair_rims,
     wall_points,
 )
-from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.judgement import DOWN, GRAVITY, GripperModel
 from xray_drake.grasping.seal import Seal
 from xray_drake.messages import Grasp, GraspKind
@@ -133,7 +133,7 @@ class DepthEvidence:
         self,
         *,
         bin_: Bin | None = None,
-        parameters: GripperParameters | None = None,
+        gripper: GripperSpec | None = None,
         config: DepthPlannerConfig | None = None,
         seed: int = 0,
     ) -> None:
@@ -141,13 +141,13 @@ class DepthEvidence:
 
         Args:
             bin_: in which the heap lies; by default the nominal cell's.
-            parameters: of the gripper.
+            gripper: that grasps; by default the nominal cell's.
             config: of the search.
             seed: of the perturbations that grasps are rehearsed with.
         """
         self.bin = bin_ or Bin()
         self.config = config or DepthPlannerConfig()
-        self.gripper = GripperModel(parameters, self.config.judgement)
+        self.gripper = GripperModel(gripper, self.config.judgement)
         self.seed = seed
         self.shapes = {
             kind: ApproachShape(
@@ -156,7 +156,7 @@ class DepthEvidence:
                 approach_distance=self.config.judgement.approach_distance,
                 cup_standoff=self.config.judgement.cup_standoff,
             )
-            for kind in (GraspKind.JAW, GraspKind.SUCTION)
+            for kind in self.gripper.geometry.kinds
         }
 
     def look(
@@ -192,7 +192,7 @@ class SeenEvidence:
         self._config = evidence.config
         self._gripper = evidence.gripper
         self._surface = surface
-        self.friction = evidence.gripper.parameters.friction
+        self.friction = evidence.gripper.spec.friction
         self._rims = find_rims(surface, friction=self.friction)
         self._walls, self._normals = wall_points(self._rims)
         camera, shapes = surface.whole_camera, evidence.shapes
@@ -219,6 +219,11 @@ class SeenEvidence:
         Excluded ones are among them: to judge them costs little.
         """
         yield self._jaws(failures)
+        if self._gripper.spec.has_cup:
+            yield self._cups(failures)
+
+    def _cups(self, failures: Failures) -> GraspCandidates:
+        """Returns the best places where the cup seals."""
         points, leaky = seals_seen(
             self._surface,
             self._gripper.lip,
@@ -238,7 +243,7 @@ class SeenEvidence:
         turns = self._config.suction_turns
         cups = cups.take(np.arange(len(cups)).reshape(turns, -1).T.ravel())
         most = self._config.suction_places * turns
-        yield cups.take(by_score(cups.score)[:most])
+        return cups.take(by_score(cups.score)[:most])
 
     def _jaws(self, failures: Failures) -> GraspCandidates:
         """Returns the best that are free, no more of them than are wanted."""
@@ -247,7 +252,7 @@ class SeenEvidence:
             self._rims,
             friction=self.friction,
             min_width=config.min_width,
-            max_width=gripper.parameters.opening - 2 * config.min_clearance,
+            max_width=gripper.spec.opening - 2 * config.min_clearance,
             max_offset=config.max_offset,
             max_step=config.max_step,
         )
@@ -357,7 +362,7 @@ class SeenEvidence:
         2008, soft finger). The pads hold at all if the walls' normals are
         within the friction cone about the axis (Dex-Net 2.0, antipodality).
         """
-        p = self._gripper.parameters
+        p = self._gripper.spec
         met = close_pads(
             self._walls, self._normals, X_WG, opening, self._gripper
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from xray_drake.cell.bin import Bin
+from xray_drake.cell.gripper import GripperSpec
 from xray_drake.configuration import count
 from xray_drake.grasping.candidates import (
     AntipodalPairs,
@@ -30,7 +31,6 @@ from xray_drake.grasping.evidence.sampling import (
     seal_cups,
     surface_points,
 )
-from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.grasping.judgement import (
     DOWN,
     GRAVITY,
@@ -91,7 +91,7 @@ class ModelEvidence:
         objects: Sequence[ObjectModel],
         *,
         bin_: Bin | None = None,
-        parameters: GripperParameters | None = None,
+        gripper: GripperSpec | None = None,
         config: ModelPlannerConfig | None = None,
         seed: int = 0,
     ) -> None:
@@ -100,12 +100,12 @@ class ModelEvidence:
         Args:
             objects: all that can be in the heap.
             bin_: in which it lies; by default the nominal cell's.
-            parameters: of the gripper.
+            gripper: that grasps; by default the nominal cell's.
             config: of the search.
             seed: of the samples.
         """
         self.config = config or ModelPlannerConfig()
-        self.gripper = GripperModel(parameters, self.config.judgement)
+        self.gripper = GripperModel(gripper, self.config.judgement)
         self.seed = seed
         self.objects = {model.name: model for model in objects}
         self.scene = GraspScene(
@@ -117,7 +117,7 @@ class ModelEvidence:
         )
         self._surfaces: dict[str, np.ndarray] = {}
         self._samples: dict[
-            str, tuple[AntipodalPairs, SuctionPoints, Failures]
+            str, tuple[AntipodalPairs, SuctionPoints | None, Failures]
         ] = {}
 
     def look(
@@ -141,38 +141,38 @@ class ModelEvidence:
 
         Combined as Drake does: 2 μ₁ μ₂ / (μ₁ + μ₂).
         """
-        a, b = self.gripper.parameters.friction, self.objects[name].friction
+        a, b = self.gripper.spec.friction, self.objects[name].friction
         return 2 * a * b / (a + b) if a + b > 0 else 0.0
 
     def samples(
         self, name: str
-    ) -> tuple[AntipodalPairs, SuctionPoints, Failures]:
+    ) -> tuple[AntipodalPairs, SuctionPoints | None, Failures]:
         """Returns the grasp candidates of an object in its body frame.
 
-        And how many other samples are no candidates, and why.
+        Without a cup there are no suction points. And how many other samples
+        are no candidates, and why.
         """
         if name not in self._samples:
             mesh, config = self.objects[name].visual, self.config
-            parameters = self.gripper.parameters
             rng = stream(self.seed, f"samples of {name}")
             pairs, wide = sample_antipodal(
                 mesh,
                 rng,
                 count=config.jaw_samples,
                 friction=self.friction(name),
-                max_width=parameters.opening - 2 * config.min_clearance,
+                max_width=self.gripper.spec.opening - 2 * config.min_clearance,
             )
-            points, leaky = sample_suction(
-                mesh,
-                rng,
-                self.gripper.lip,
-                count=config.suction_samples,
-            )
-            unfit = {
-                (GraspKind.JAW, "too wide"): wide,
-                (GraspKind.SUCTION, "cup does not seal"): leaky,
-            }
-            self._samples[name] = pairs, points, Failures(unfit)
+            unfit = Failures({(GraspKind.JAW, "too wide"): wide})
+            points = None
+            if self.gripper.spec.has_cup:
+                points, leaky = sample_suction(
+                    mesh,
+                    rng,
+                    self.gripper.lip,
+                    count=config.suction_samples,
+                )
+                unfit[GraspKind.SUCTION, "cup does not seal"] = leaky
+            self._samples[name] = pairs, points, unfit
         return self._samples[name]
 
     def surface(self, name: str) -> np.ndarray:
@@ -304,9 +304,11 @@ class PlacedModel:
         return jaws.take(slice(0))
 
     def _cups(
-        self, points: SuctionPoints, failures: Failures
+        self, points: SuctionPoints | None, failures: Failures
     ) -> GraspCandidates:
         """Returns poses that can hold the weight where they seal."""
+        if points is None:
+            return GraspCandidates.none(GraspKind.SUCTION)
         R, p = self._X_WO[:3, :3], self._X_WO[:3, 3]
         cups = cup_poses(
             replace(
@@ -353,6 +355,8 @@ class PlacedModel:
     ) -> GraspCandidates:
         """Drops those that cannot be free, scores the others by their space."""
         kind, count = candidates.kind, len(candidates)
+        if not count:
+            return candidates
         for stride in (_COARSE, 1):
             space = self._clearance(candidates, points[::stride])
             candidates = replace(candidates, space=space)
@@ -368,7 +372,7 @@ class PlacedModel:
     ) -> np.ndarray:
         """Returns the (n,) free space around the gripper where it may stop."""
         gripper, config = self._gripper, self._gripper.config
-        kind, back = candidates.kind, gripper.parameters.bellows_travel
+        kind, back = candidates.kind, gripper.spec.bellows_travel
         tool = gripper.geometry.approach(
             kind, config.approach_distance, config.cup_standoff
         )
@@ -450,7 +454,7 @@ class PlacedModel:
                 self._model.p_OCom,
                 self._X_WO[:3, :3].T @ DOWN,
                 friction=friction,
-                force=self._gripper.parameters.force,
+                force=self._gripper.spec.force,
             )
         y = X_OG[:3, 1]
         cosine = min(-contacts[0].normal @ y, contacts[1].normal @ y)

@@ -27,9 +27,9 @@ def touch(
         the closed pads, m, and the touched share of the pad touched less;
         None if a pad finds nothing.
     """
-    parameters, tip = gripper.parameters, gripper.geometry.tip_length
-    x = (np.arange(3) - 1) * parameters.pad_width / 3
-    z = tip - parameters.pad_height * (np.arange(6) + 0.5) / 6
+    spec, tip = gripper.spec, gripper.geometry.tip_length
+    x = (np.arange(3) - 1) * spec.pad_width / 3
+    z = tip - spec.pad_height * (np.arange(6) + 0.5) / 6
     grid = [g.ravel() for g in np.meshgrid(x, z, indexing="ij")]
     contacts, travel, coverage = [], 0.0, 1.0
     for sign in (-1.0, 1.0):
@@ -41,11 +41,11 @@ def touch(
         distance[distance > opening] = np.inf
         if not np.isfinite(distance).any():
             return None
-        touching = distance <= distance.min() + parameters.pad_compliance
+        touching = distance <= distance.min() + spec.pad_compliance
         along = distance[touching, None] * directions[touching]
         point = (origins[touching] + along).mean(axis=0)
         normal = -mesh.face_normals[face[touching]].mean(axis=0)
-        area = parameters.pad_width * parameters.pad_height * touching.mean()
+        area = spec.pad_width * spec.pad_height * touching.mean()
         contacts.append(
             PadContact(
                 point=point,

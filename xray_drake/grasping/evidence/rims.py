@@ -288,8 +288,8 @@ def close_pads(
         gripper: whose pads they are.
     """
     n, tip = len(X_WG), gripper.geometry.tip_length
-    pad_width = gripper.parameters.pad_width
-    pad_height = gripper.parameters.pad_height
+    pad_width = gripper.spec.pad_width
+    pad_height = gripper.spec.pad_height
     R = X_WG[:, :3, :3].astype(np.float32)
     p = points_W.astype(np.float32)
     start = np.einsum("nij,ni->nj", X_WG[:, :3, :3], X_WG[:, :3, 3])
@@ -320,7 +320,7 @@ def close_pads(
         met = np.isfinite(first)
         found &= met
         first = np.where(met, first, 0.0)
-        touch = reach >= (first - gripper.parameters.pad_compliance)[:, None]
+        touch = reach >= (first - gripper.spec.pad_compliance)[:, None]
         width += first
         count = np.maximum(touch.sum(axis=1), 1)
         normal = (touch @ normals_W) / count[:, None]

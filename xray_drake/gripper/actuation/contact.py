@@ -151,7 +151,7 @@ class ContactActuation(Actuation[ContactState, Measured]):
         tote: Tote,
         config: ExecutionConfig | None = None,
         *,
-        force: float = 20.0,
+        force: float | None = None,
         period: float = 0.01,
     ) -> None:
         """Builds it.
@@ -160,20 +160,21 @@ class ContactActuation(Actuation[ContactState, Measured]):
             gripper: limits and frames; the plant is not touched.
             tote: where objects are put down.
             config: how it moves and when it gives up.
-            force: squeeze of each finger, N; no more than it can.
+            force: squeeze of each finger, N; by default, and at most, all
+                that it can.
             period: between two updates, s.
         """
         self._gripper = gripper
         self._tote = tote
         self._config = config = config or ExecutionConfig()
-        self._force = min(force, gripper.finger_force)
+        most = gripper.finger_force
+        self._force = most if force is None else min(force, most)
         self._period = period
         self._carrier: Carrier = gripper.carrier
         self._transit = min(config.transit_height, self._carrier.highest)
-        self._X_GB = {
-            GraspKind.JAW: np.linalg.inv(gripper.X_BJ),
-            GraspKind.SUCTION: np.linalg.inv(gripper.X_BC),
-        }
+        self._X_GB = {GraspKind.JAW: np.linalg.inv(gripper.X_BJ)}
+        if gripper.X_BC is not None:
+            self._X_GB[GraspKind.SUCTION] = np.linalg.inv(gripper.X_BC)
         self.waits = {
             Phase.CHECK: (config.check_time, config.check_time),
             Phase.RELEASE: (config.release_time, config.release_time),
@@ -361,6 +362,8 @@ class ContactActuation(Actuation[ContactState, Measured]):
         config, gripper = self._config, self._gripper
         grasp, home = state.action.grasp, gripper.carrier.home
         suction = grasp.kind is GraspKind.SUCTION
+        if grasp.kind not in self._X_GB:
+            raise TransferError("the gripper has no suction cup")
         beyond = config.cup_overtravel if suction else config.jaw_overtravel
         poses = [
             self._pose(grasp, advance)

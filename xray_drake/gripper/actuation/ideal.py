@@ -290,7 +290,6 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         objects: Sequence[ObjectModel],
         bodies: Mapping[str, int],
         geometry: GripperGeometry,
-        opening: float,
         cell: Cell | None = None,
         config: QuasiStaticConfig | None = None,
         seed: int = 0,
@@ -304,7 +303,6 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
             objects: all objects of the heap.
             bodies: object name to its index in the body ports.
             geometry: of the drawn gripper.
-            opening: of its jaw, m.
             cell: in which it works; by default the nominal one.
             config: motions and perturbations.
             seed: of the perturbations.
@@ -318,7 +316,6 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         )
         super().__init__(actuation, actuation.initial(), period=period)
         self._bodies = dict(bodies)
-        self._opening = opening
         self._geometry = geometry
         self._grip = Grip(
             stiffness=config.stiffness,
@@ -383,7 +380,8 @@ class QuasiStaticGripper(TransferSystem[IdealState, Measured]):
         if state.phase in HOLDING:
             X_WO = self._poses.Eval(context)[self._bodies[grasp.object]]
             X_WG = X_WO.GetAsMatrix4() @ grasp.X_OG
-            closed = (self._opening - min(grasp.width, self._opening)) / 2
+            opening = self._geometry.open_width
+            closed = (opening - min(grasp.width, opening)) / 2
         else:
             X_WG, _, _ = state.segment.sample(context.get_time())
         X_BG = self._geometry.frame(grasp.kind)

@@ -134,7 +134,7 @@ class ArmCell:
         arm, tool = model.add(plant, cell)
         add_bin(plant, cell.bin)
         add_tote(plant, cell.placed_tote)
-        hand = add_hand(plant, tool)
+        hand = add_hand(plant, tool, cell.gripper.spec.file)
         self.limits = joint_limits(plant, arm)
         self._tool = tool.index()
         drake = logging.getLogger("drake")
