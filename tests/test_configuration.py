@@ -239,6 +239,8 @@ def test_every_number_has_a_range(schema: type) -> None:
     if schema.__name__ == "SimulatorConfig":
         assert isinstance(rules["integration_scheme"], Choice)
     for name, kind in fields_of(schema).items():
+        if kind == dict[str, float]:
+            continue  # CellGripper.complaints looks at each
         wanted = {int, float, np.ndarray} & {kind, *typing.get_args(kind)}
         if not wanted:
             continue

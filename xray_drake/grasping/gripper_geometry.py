@@ -24,11 +24,11 @@ from xray_drake.scene.parsing import configure_parser
 CUP = "cup"
 """Name of the frame at the cup's lip, and of the cup's collision geometry."""
 
+_DIGITS = 9
+"""Lengths are rounded to a nanometre."""
+
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 """Each from open (0) to closed."""
-
-_DIGITS = 9
-"""Lengths are rounded to a nanometre, as the file has them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +217,11 @@ def _read_geometry(path: Path) -> GripperGeometry:
             lows, highs, _ = zip(*own, strict=True)
             own = [(np.min(lows, axis=0), np.max(highs, axis=0), False)]
         for low, high, is_round in own:
-            lower.append(low)
-            upper.append(high)
+            # As a file would have one box.
+            center = np.round(0.5 * (low + high), _DIGITS)
+            half = np.round(0.5 * (high - low), _DIGITS)
+            lower.append(center - half)
+            upper.append(center + half)
             round_.append(is_round)
             closing.append(closing_of.get(body.name(), 0.0))
     return GripperGeometry(
@@ -259,4 +262,4 @@ def _box(
     if X_BC is not None and name == CUP:
         high[0] = X_BC[0, 3]
     is_round = isinstance(shape, Cylinder) and R[0, 2] > 0.5
-    return np.round(low, _DIGITS), np.round(high, _DIGITS), is_round
+    return low, high, is_round
