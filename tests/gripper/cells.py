@@ -13,9 +13,9 @@ from tests.poses import at, downwards
 from xray_drake.cell.cameras import nominal_camera
 from xray_drake.gripper.controller import GripperController
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
+from xray_drake.gripper.mounted import add_gripper
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.suction_cup import SuctionCup
-from xray_drake.gripper.yumi import add_gripper
 from xray_drake.messages import Grasp, GraspKind, GripperMode, SearchAction
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.object_model import object_from_pieces

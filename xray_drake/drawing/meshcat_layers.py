@@ -7,6 +7,7 @@ from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatParams, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.perception import BaseField, Fields, PointCloud
 
+from xray_drake.cell.gripper import GripperSpec, load_gripper
 from xray_drake.drawing.colors import heat
 from xray_drake.drawing.layers import color_layer, mask_outline, surface_depth
 from xray_drake.drawing.primitives import Lines, Points
@@ -243,6 +244,7 @@ def draw_grasp(
     *,
     color: tuple[float, float, float] = CHOSEN,
     radius: float = _ROD_RADIUS,
+    gripper: GripperSpec | None = None,
 ) -> None:
     """Draws a grasp: the jaw as a fork, the cup as a disc on a stem.
 
@@ -252,6 +254,7 @@ def draw_grasp(
         grasp: of kind NONE, nothing is drawn.
         color: RGB in [0, 1].
         radius: of the rods, m.
+        gripper: whose cup it is; by default the nominal cell's.
     """
     meshcat.Delete(path)
     if not grasp:
@@ -260,7 +263,8 @@ def draw_grasp(
     length = 0.06
     if grasp.kind is GraspKind.SUCTION:
         points = np.array([[0, 0, -length], [0, 0, 0]], dtype=float)
-        meshcat.SetObject(f"{path}/cup", Cylinder(0.015, 0.003), rgba)
+        lip = (gripper or load_gripper()).cup_radius
+        meshcat.SetObject(f"{path}/cup", Cylinder(lip, 0.003), rgba)
         meshcat.SetTransform(f"{path}/cup", RigidTransform(X))
     else:
         half = grasp.width / 2

@@ -12,9 +12,9 @@ from xray_drake.gripper.actuation.contact import (
     Measured,
 )
 from xray_drake.gripper.carriers.carrier import Tracking
+from xray_drake.gripper.mounted import MountedGripper
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.system import TransferSystem
-from xray_drake.gripper.yumi import YumiGripper
 
 
 class GripperController(TransferSystem[ContactState, Measured]):
@@ -54,7 +54,7 @@ class GripperController(TransferSystem[ContactState, Measured]):
     def __init__(
         self,
         *,
-        gripper: YumiGripper,
+        gripper: MountedGripper,
         tote: Tote | None = None,
         config: ExecutionConfig | None = None,
         force: float | None = None,

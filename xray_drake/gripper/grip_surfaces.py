@@ -17,7 +17,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
-from xray_drake.gripper.yumi import YumiGripper
+from xray_drake.gripper.mounted import MountedGripper
 from xray_drake.scene.plant import PlantObject
 
 PAD = "pad"
@@ -30,7 +30,7 @@ GRIP = "grip"
 def add_grip_surfaces(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
-    gripper: YumiGripper,
+    gripper: MountedGripper,
     objects: Iterable[PlantObject],
 ) -> None:
     """Lets the pads feel objects as hard, and all else feel them as they are.
@@ -44,7 +44,7 @@ def add_grip_surfaces(
     Args:
         plant: with everything in it that has collision geometry; not finalized.
         scene_graph: of the plant.
-        gripper: from :func:`~xray_drake.gripper.yumi.add_gripper`.
+        gripper: from :func:`~xray_drake.gripper.mounted.add_gripper`.
         objects: what can be gripped, from ``add_object``.
     """
     gripped = []

@@ -131,7 +131,9 @@ def _draw_chosen(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
     meshcat.Delete(path)
     outline = f"{path}/outline"
     draw_outline(meshcat, outline, shot.chosen, shot.depth, shot.camera)
-    draw_grasp(meshcat, f"{path}/gripper", shot.action.grasp)
+    draw_grasp(
+        meshcat, f"{path}/gripper", shot.action.grasp, gripper=shot.gripper
+    )
 
 
 def _draw_candidates(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
@@ -145,6 +147,7 @@ def _draw_candidates(meshcat: Meshcat, path: str, shot: Snapshot) -> None:
                 grasp,
                 color=(r, g, b),
                 radius=_CANDIDATE_ROD,
+                gripper=shot.gripper,
             )
 
 

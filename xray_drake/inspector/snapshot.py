@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.systems.framework import Context
 
 from xray_drake.cell.bin import Bin
+from xray_drake.cell.gripper import GripperSpec
 from xray_drake.geometry.camera import PinholeCamera
 from xray_drake.geometry.silhouette import project_mesh_mask
 from xray_drake.messages import (
@@ -39,6 +40,7 @@ class Snapshot:
         poses: of all objects, the removed ones included.
         camera: of all images.
         bin: in which the heap lies.
+        gripper: that grasps.
         color: (H, W, 3) uint8 RGB.
         depth: (H, W) float32 z-depth as it is, m.
         seen_depth: the same as perception has it, with noise where there is.
@@ -58,6 +60,7 @@ class Snapshot:
     poses: Poses
     camera: PinholeCamera
     bin: Bin
+    gripper: GripperSpec
     color: np.ndarray
     depth: np.ndarray
     seen_depth: np.ndarray
@@ -159,6 +162,7 @@ def take_snapshot(
         poses=poses,
         camera=camera,
         bin=diagram.scenario.cell.bin,
+        gripper=diagram.scenario.cell.gripper.spec,
         color=np.array(look(f"{name}.color_image").data[:, :, :3]),
         depth=np.array(look(f"{name}.depth_image").data[:, :, 0]),
         seen_depth=np.array(look(seen).data[:, :, 0]),

@@ -11,11 +11,11 @@ from xray_drake.gripper.actuation.ideal import (
     QuasiStaticGripper,
 )
 from xray_drake.gripper.controller import GripperController
+from xray_drake.gripper.mounted import MountedGripper
 from xray_drake.gripper.rest_sensor import RestSensor
 from xray_drake.gripper.seal_light import SealLight
 from xray_drake.gripper.suction import Cup
 from xray_drake.gripper.suction_cup import SuctionCup
-from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.scene.heap import Heap
 from xray_drake.station.heap_station import StationParts
 from xray_drake.station.scenario import Scenario
@@ -100,7 +100,7 @@ def _contact(
     station: System,
     heap: Heap,
     bodies: Mapping[str, int],
-    gripper: YumiGripper,
+    gripper: MountedGripper,
     meshcat: Meshcat | None,
 ) -> tuple[list[System], list[_Wire]]:
     config, spec = scenario.gripper, scenario.cell.gripper.spec

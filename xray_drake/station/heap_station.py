@@ -17,7 +17,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from xray_drake.gripper.grip_surfaces import add_grip_surfaces
-from xray_drake.gripper.yumi import YumiGripper, add_gripper
+from xray_drake.gripper.mounted import MountedGripper, add_gripper
 from xray_drake.scene.cameras import add_camera
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.parsing import configure_parser
@@ -46,7 +46,7 @@ class StationParts:
     scene_graph: SceneGraph
     objects: dict[str, PlantObject]
     labels: dict[str, int]
-    gripper: YumiGripper | None = None
+    gripper: MountedGripper | None = None
 
 
 def build_heap_station(
@@ -133,7 +133,9 @@ def build_heap_station(
 
 
 def _export_plant(
-    builder: DiagramBuilder, plant: MultibodyPlant, gripper: YumiGripper | None
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    gripper: MountedGripper | None,
 ) -> None:
     builder.ExportInput(
         plant.get_applied_spatial_force_input_port(), "applied_spatial_force"

@@ -10,6 +10,7 @@ from xray_drake.cell.bin import Tote
 from xray_drake.configuration import in_order, number
 from xray_drake.gripper.carriers.carrier import Carrier, Tracking
 from xray_drake.gripper.carriers.paths import Leg, Path, stay
+from xray_drake.gripper.mounted import MountedGripper
 from xray_drake.gripper.suction import CupState
 from xray_drake.gripper.transfer import (
     Actuation,
@@ -17,7 +18,6 @@ from xray_drake.gripper.transfer import (
     TransferError,
     TransferState,
 )
-from xray_drake.gripper.yumi import YumiGripper
 from xray_drake.messages import Grasp, GraspKind, Outcome
 
 
@@ -147,7 +147,7 @@ class ContactActuation(Actuation[ContactState, Measured]):
 
     def __init__(
         self,
-        gripper: YumiGripper,
+        gripper: MountedGripper,
         tote: Tote,
         config: ExecutionConfig | None = None,
         *,

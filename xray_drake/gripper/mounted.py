@@ -26,8 +26,8 @@ from xray_drake.gripper.models import add_hand, moving_joints
 
 
 @dataclass(frozen=True, eq=False)
-class YumiGripper:
-    """The gripper and its carrier as they stand in a plant.
+class MountedGripper:
+    """A gripper and its carrier as they stand in a plant.
 
     Each model instance has the plant's own ports: the state is positions, then
     velocities; the desired state, which must be connected, is the same.
@@ -102,7 +102,7 @@ def add_gripper(
     *,
     carrier: str = CARRIERS[0],
     cell: Cell | None = None,
-) -> YumiGripper:
+) -> MountedGripper:
     """Adds the gripper to a plant, at home and open in the default context.
 
     Its position control is the plant's own: PD gains that the solver takes in
@@ -137,7 +137,7 @@ def add_gripper(
     for joint, position in zip(joints, kinematics.home, strict=True):
         joint.set_default_positions([position])
     finger = plant.GetJointActuatorByName(FINGER_JOINTS[0], hand)
-    return YumiGripper(
+    return MountedGripper(
         plant=plant,
         carrier_instance=arm,
         finger_instance=hand,
