@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 
-from tests.gripper.cells import block
+from tests.alone import Alone
+from tests.gripper.cells import block, take
 from tests.nominal import TOTE
 from tests.poses import at
 from tests.search.watching import TARGET, Watcher
@@ -14,6 +16,8 @@ from xray_drake.grasping.evidence.depth import DepthEvidence, SeenObject
 from xray_drake.grasping.evidence.model import ModelEvidence
 from xray_drake.grasping.perturbation import PerturbationConfig
 from xray_drake.grasping.planner import GraspPlanner
+from xray_drake.gripper.controller import GripperController
+from xray_drake.gripper.mounted import add_gripper
 from xray_drake.messages import GraspKind, Outcome
 from xray_drake.scene.heap import Heap
 from xray_drake.scene.targets import target_model
@@ -101,6 +105,21 @@ def test_it_brings_a_wide_block_to_the_tote(
     assert TOTE.holds(watcher.poses[-1]["wide"][:3, 3])
     names = {system.get_name() for system in diagram.GetSystems()}
     assert "suction_cup" not in names
+
+
+def test_by_contact_it_refuses_a_suction_grasp(scenario: Scenario) -> None:
+    plant = MultibodyPlant(0.005)
+    gripper = add_gripper(plant, cell=scenario.cell)
+    plant.Finalize()
+    controller = Alone(
+        GripperController(gripper=gripper),
+        carrier_state=np.r_[gripper.carrier.home, np.zeros(6)],
+        finger_state=np.zeros(4),
+        action=take(GraspKind.SUCTION, "wide", (0.0, 0.0, 0.05)),
+    )
+    status = controller.advance_to(0.1)
+    assert status.outcome is Outcome.FAILED
+    assert status.reason == "the gripper has no suction cup"
 
 
 def test_by_contact_it_is_shown_without_a_seal_light(
