@@ -34,13 +34,13 @@ def test_cells_of_the_package(name: str) -> None:
 @settings(max_examples=30)
 @given(
     length=st.floats(0.2, 0.6),
-    size=st.tuples(st.integers(320, 1920), st.integers(240, 1080)),
+    size=st.tuples(st.integers(320, 1920), st.floats(0.6, 1.2)),
     home=st.sampled_from([[], [0.1, 0.2, 0.3]]),
 )
 def test_what_is_written_is_read_again(
-    length: float, size: tuple[int, int], home: list[float]
+    length: float, size: tuple[int, float], home: list[float]
 ) -> None:
-    text = "overhead: {{width: {}, height: {}}}".format(*size)
+    text = f"overhead: {{width: {size[0]}, height: {int(size[0] * size[1])}}}"
     cell = replace(parse_cell(text, "cell"), bin=Bin(length=length), home=home)
     assert parse_cell(dump_cell(cell), "again") == cell
     cell.overhead.focal = CameraConfig.FocalLength(x=0.9 * size[0], y=size[0])

@@ -11,12 +11,11 @@ from xray_drake.configuration import (
     check,
     number,
     path_or_name,
-    read_text,
-    read_tree,
     required_number,
     rules_of,
 )
 from xray_drake.resources import models_dir
+from xray_drake.trees import read_text, read_tree
 
 SUFFIX = ".sdf"
 """Of a gripper's model file; a YAML beside it says what SDFormat cannot."""

@@ -25,7 +25,6 @@ from xray_drake.configuration import (
 )
 from xray_drake.grasping.evidence.depth import DepthPlannerConfig
 from xray_drake.grasping.evidence.model import ModelPlannerConfig
-from xray_drake.grasping.gripper_geometry import GripperParameters
 from xray_drake.gripper.actuation.contact import ExecutionConfig
 from xray_drake.gripper.actuation.ideal import QuasiStaticConfig
 from xray_drake.gripper.suction import SuctionConfig
