@@ -98,9 +98,8 @@ def build_heap_station(
         add_grip_surfaces(plant, scene_graph, gripper, items)
     plant.Finalize()
     if gripper is None:
-        _add_drawn_gripper(
-            builder, scene_graph, scenario.cell.gripper.spec.file
-        )
+        file = scenario.cell.gripper.spec.file
+        _add_drawn_gripper(builder, scene_graph, file)
     if meshcat is not None:
         period = scenario.visualization.publish_period
         MeshcatVisualizer.AddToBuilder(
