@@ -12,6 +12,7 @@ from xray_drake.scene.meshes.pieces import (
     hull_volume,
     merged_pieces,
     simplified_hull,
+    without_slivers,
 )
 from xray_drake.scene.meshes.prepare import deviation
 
@@ -121,3 +122,20 @@ def test_deviation_of_a_ball_from_a_coarser_one():
         np.abs(coarse.face_normals * coarse.triangles_center).sum(axis=1).min()
     )
     assert deviation(fine, coarse) == pytest.approx(expected, rel=0.3)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_vertex_lies_on_an_edge(seed):
+    """Turned, a point of an edge is beside it by rounding: a sliver."""
+    rng = np.random.default_rng(seed)
+    corners = trimesh.creation.box([0.07, 0.04, 0.004]).vertices
+    ends = corners[rng.choice(8, (6, 2))]
+    share = rng.uniform(0.2, 0.8, (6, 1))
+    on_sides = share * ends[:, 0] + (1 - share) * ends[:, 1]
+    R = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    turned = np.concatenate([corners, on_sides]) @ R.T
+    turned += rng.uniform(-1e-9, 1e-9, turned.shape)
+    kept = without_slivers(turned[ConvexHull(turned).vertices])
+    assert len(kept) == 8
+    away = np.linalg.norm(kept[:, None] - turned[:8], axis=2).min(axis=0)
+    assert away.max() < 1e-8

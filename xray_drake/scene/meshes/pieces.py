@@ -10,6 +10,9 @@ MOST_GROWTH = 1.2
 EXACT_ENOUGH = 0.95
 """Of a hull's volume: a choice of vertices that keeps it is not improved."""
 
+_SLIVER = 1e-6
+"""Share of its volume that a piece must lose without any of its vertices."""
+
 _MOST_PASSES = 2
 _TRIALS = 4
 
@@ -27,6 +30,32 @@ def hull_vertices(points: np.ndarray) -> np.ndarray:
         scipy.spatial.QhullError: they lie in a plane.
     """
     return points[ConvexHull(points).vertices]
+
+
+def without_slivers(points: np.ndarray) -> np.ndarray:
+    """Leaves out hull vertices that lie on a side between others, nearly.
+
+    A face that they make has no area to speak of, and Drake cannot make a
+    compliant body of a piece that has one.
+
+    Args:
+        points: (n, 3) vertices of a hull, m.
+
+    Returns:
+        (m, 3) of them, at least 4; the hull of the others has less volume by
+        :data:`_SLIVER` or more without any of them.
+    """
+    whole = hull_volume(points)
+    while len(points) > 4:
+        without = [
+            hull_volume(np.delete(points, index, axis=0))
+            for index in range(len(points))
+        ]
+        least = int(np.argmax(without))
+        if without[least] < (1 - _SLIVER) * whole:
+            break
+        points = np.delete(points, least, axis=0)
+    return points
 
 
 def merged_pieces(pieces: list[np.ndarray], count: int) -> list[np.ndarray]:

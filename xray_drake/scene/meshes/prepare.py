@@ -17,11 +17,11 @@ from xray_drake.scene.meshes.closing import closed_solid
 from xray_drake.scene.meshes.decompose import convex_pieces, decimated
 from xray_drake.scene.meshes.formats import FileMesh, read_file, side_files
 from xray_drake.scene.meshes.losses import LossLimits
-from xray_drake.scene.meshes.pieces import hull_volume
+from xray_drake.scene.meshes.pieces import hull_volume, without_slivers
 from xray_drake.scene.meshes.textures import mean_color, read_texture
 from xray_drake.scene.object_model import TexturedMesh
 
-ALGORITHM = 3
+ALGORITHM = 5
 """Raised with every change of what comes of a file, so that caches renew."""
 
 VISUAL_FACES = 5000
@@ -308,6 +308,7 @@ def prepare(path: Path, settings: Settings) -> Prepared:
         settings.max_vertices,
         settings.limits,
     )
+    pieces = [without_slivers(piece) for piece in pieces]
     center = np.array(mesh.center_mass)
     mesh.density = 1.0
     shown = _decimated_visual(mesh)
