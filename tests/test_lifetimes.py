@@ -23,7 +23,7 @@ from pydrake.systems.framework import (
 from xray_drake.gym.environment import MechanicalSearchEnv
 from xray_drake.lifetimes import CollectableLeafSystem
 from xray_drake.messages import SearchAction
-from xray_drake.scene import heap as heap_module
+from xray_drake.scene import drop as drop_module
 from xray_drake.scene.drop import drop_heap
 from xray_drake.scene.heap import (
     Heap,
@@ -250,14 +250,14 @@ def test_a_search_is_freed(tiny_heap: Heap, tiny_scenario: Scenario) -> None:
 @freed_by_drake
 def test_a_heap_is_freed(monkeypatch: pytest.MonkeyPatch) -> None:
     watched: Watched = {}
-    add_plant = heap_module.add_plant
+    add_plant = drop_module.add_plant
 
     def noted(*args: Any, **kwargs: Any) -> Any:
         plant, scene_graph = add_plant(*args, **kwargs)
         watched.update(watch(plant=plant, scene_graph=scene_graph))
         return plant, scene_graph
 
-    monkeypatch.setattr(heap_module, "add_plant", noted)
+    monkeypatch.setattr(drop_module, "add_plant", noted)
     drop_heap(target_model("box_2to1"), [make_object("carton_000")], seed=1)
     assert watched.keys() == {"plant", "scene_graph"}
     assert left(watched) == []
