@@ -175,6 +175,9 @@ def _complaints(
             for key, item in value.items():
                 if is_struct(item):
                     yield from _complaints(item, f"{path}.{key}.", foreign)
+        elif _holds_configurations(value):
+            for index, item in enumerate(value):
+                yield from _complaints(item, f"{path}[{index}].", foreign)
         elif rule is not None:
             if said := rule.broken_by(value):
                 yield f"{path} is {_shown(value)}: {said}"
@@ -184,6 +187,11 @@ def _complaints(
             yield f"{path} is {_shown(value)}: it must be finite"
     for said in getattr(config, "complaints", tuple)():
         yield f"{prefix}{said}"
+
+
+def _holds_configurations(value: Any) -> bool:
+    """Says whether it is a list of dataclasses."""
+    return isinstance(value, list) and any(map(dataclasses.is_dataclass, value))
 
 
 def in_order(config: Any, *names: str) -> Iterator[str]:
@@ -233,6 +241,8 @@ def with_paths(config: Config, folder: Path) -> Config:
             )
         elif dataclasses.is_dataclass(value):
             changed[f.name] = with_paths(value, folder)
+        elif _holds_configurations(value):
+            changed[f.name] = [with_paths(item, folder) for item in value]
     return dataclasses.replace(config, **changed)  # type: ignore[type-var]
 
 
@@ -312,6 +322,32 @@ def check_tree(
     """
     for said in _strange(tree, schema, "", foreign):
         raise ConfigurationError(f"{source}: {said}")
+
+
+def configured(
+    schema: type[Config],
+    tree: Mapping[str, Any],
+    source: str,
+    *,
+    folder: Path | None = None,
+    foreign: Rules | None = None,
+) -> Config:
+    """Makes a dataclass of a tree: :func:`check_tree`, then :func:`build`.
+
+    Args:
+        schema: a dataclass, which may hold Drake's structs.
+        tree: of :func:`~xray_drake.trees.read_tree`.
+        source: what a message begins with, e.g. the file.
+        folder: what its paths are relative to; by default they are left as
+            they are.
+        foreign: rules for the fields of Drake's structs.
+
+    Raises:
+        ConfigurationError: as those two.
+    """
+    check_tree(tree, schema, source, foreign)
+    config = build(schema, tree, source)
+    return config if folder is None else with_paths(config, folder)
 
 
 def build(schema: type[Config], tree: Mapping[str, Any], source: str) -> Config:

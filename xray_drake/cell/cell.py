@@ -20,14 +20,12 @@ from xray_drake.cell.drake_rules import DRAKE_RULES
 from xray_drake.cell.gripper import CellGripper
 from xray_drake.cell.names import cell_path
 from xray_drake.configuration import (
-    build,
     check,
-    check_tree,
+    configured,
     differences,
     number_list,
     path_field,
     tree_of,
-    with_paths,
 )
 from xray_drake.trees import (
     ConfigurationError,
@@ -195,10 +193,7 @@ def parse_cell(text: str, source: str, *, folder: Path | None = None) -> Cell:
         ConfigurationError: as :func:`load_cell`.
     """
     tree = cell_tree(read_tree(text, source))
-    check_tree(tree, Cell, source, DRAKE_RULES)
-    cell = build(Cell, tree, source)
-    if folder is not None:
-        cell = with_paths(cell, folder)
+    cell = configured(Cell, tree, source, folder=folder, foreign=DRAKE_RULES)
     check(cell, source, DRAKE_RULES)
     return cell
 

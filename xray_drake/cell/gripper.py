@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -153,7 +153,7 @@ def load_gripper(
 
 
 _FIELDS = tuple(f.name for f in fields(GripperSpec) if f.name != "file")
-_OPTIONAL = ("cup_radius", "vacuum_force", "cup_elasticity", "bellows_travel")
+_OPTIONAL = {f.name for f in fields(GripperSpec) if f.default is not MISSING}
 """A gripper without a suction cup leaves these out."""
 
 

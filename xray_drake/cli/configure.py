@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from matplotlib.colors import to_rgb
-
 from xray_drake.cell.camera_files import read_camera
 from xray_drake.cell.cell import load_cell
-from xray_drake.scene.meshes.formats import FORMATS
+from xray_drake.scene.targets import is_mesh
 from xray_drake.station.scenario import (
     Scenario,
     ScenarioError,
@@ -70,9 +68,11 @@ def _value(scenario: Scenario, path: str, value: Any) -> Any:
         return load_cell(value)
     if path == "cell.overhead":
         return read_camera(Path(value), scenario.camera)
-    if path == "scene.target" and Path(value).suffix.lower() in FORMATS:
+    if path == "scene.target" and is_mesh(value):
         return str(Path(value).expanduser().absolute())
     if path == "scene.target_color":
+        from matplotlib.colors import to_rgb
+
         try:
             return list(to_rgb(value))
         except ValueError as error:

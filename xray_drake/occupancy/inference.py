@@ -60,19 +60,9 @@ def make_inference(
             f"no inference is called {name!r}: choose one of "
             f"{', '.join(OCCUPANCIES)}"
         )
-    if scale != 1.0:
-        model = make_inference(
-            name,
-            target,
-            floor=floor,
-            geometric=geometric,
-            weights=weights,
-            dtype=dtype,
-            scaling=scaling,
-        )
-        return ScaledInference(model, scale)
+    model: OccupancyModel
     if name not in WITHOUT_NETWORK:
-        return load_inference(
+        model = load_inference(
             weights or default_weights(),
             target_size=target.extents
             if isinstance(target, ObjectModel)
@@ -82,8 +72,10 @@ def make_inference(
             dtype=dtype,
             floor=floor,
         )
-    if not isinstance(target, ObjectModel):
+    elif not isinstance(target, ObjectModel):
         raise ValueError(
             f"{name} inference needs the target's model, not its size alone"
         )
-    return GeometricInference(target, geometric, name, floor=floor)
+    else:
+        model = GeometricInference(target, geometric, name, floor=floor)
+    return model if scale == 1.0 else ScaledInference(model, scale)

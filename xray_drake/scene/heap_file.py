@@ -30,15 +30,14 @@ from xray_drake.cell.bin import Bin
 from xray_drake.cell.drake_rules import DRAKE_RULES
 from xray_drake.choices import MESH_TIME_LIMIT
 from xray_drake.configuration import (
-    build,
     build_struct,
     check,
     check_tree,
     choice,
+    configured,
     number,
     number_list,
     path_field,
-    with_paths,
 )
 from xray_drake.files import write_whole_file
 from xray_drake.scene.heap import RELEASES, Heap
@@ -171,15 +170,12 @@ def load_heap_file(
     """
     source = str(path)
     tree = read_tree(read_text(path), source)
-    check_tree(tree, _File, source)
-    file = with_paths(build(_File, tree, source), path.parent)
-    items = [with_paths(item, path.parent) for item in file.objects]
+    file = configured(_File, tree, source, folder=path.parent)
     check(file, source)
     models: dict[str, ObjectModel] = {}
     poses: dict[str, np.ndarray] = {}
-    for index, item in enumerate(items):
+    for index, item in enumerate(file.objects):
         where = f"{source}: objects[{index}]"
-        check(item, where)
         if item.name in models:
             raise ConfigurationError(f"{where}: a second {item.name!r}")
         try:

@@ -13,7 +13,12 @@ from xray_drake.scene.heap import (
     Heap,
     HeapError,
 )
-from xray_drake.scene.heap_file import AT_REST, RESERVED, load_heap_file
+from xray_drake.scene.heap_file import (
+    AT_REST,
+    RESERVED,
+    HeapFile,
+    load_heap_file,
+)
 from xray_drake.scene.library import make_object, object_names
 from xray_drake.scene.meshes import load_meshes
 from xray_drake.scene.object_model import ObjectModel
@@ -209,12 +214,7 @@ def _heap_of_file(
         ScenarioError: the file cannot be used, or does not fit the cell.
         HeapError: the heap does not come to rest.
     """
-    scene = scenario.scene
-    file = load_heap_file(
-        Path(scene.heap_file), time_limit=scene.mesh_time_limit
-    )
-    file.check_fits(scenario.cell.bin)
-    check_target(scenario, file.target)
+    scene, file = scenario.scene, _heap_file(scenario)
     if file.release == AT_REST:
         return file.heap()
     heap = release_heap(
@@ -243,13 +243,21 @@ def check_heaps(scenario: Scenario) -> None:
     Raises:
         ScenarioError: the target or the heap file cannot be used.
     """
-    if not scenario.scene.heap_file:
+    if scenario.scene.heap_file:
+        _heap_file(scenario)
+    else:
         scenario_target(scenario)
-        return
-    path = Path(scenario.scene.heap_file)
-    file = load_heap_file(path, time_limit=scenario.scene.mesh_time_limit)
+
+
+def _heap_file(scenario: Scenario) -> HeapFile:
+    """Reads a scenario's heap file, and checks that it fits the scenario."""
+    scene = scenario.scene
+    file = load_heap_file(
+        Path(scene.heap_file), time_limit=scene.mesh_time_limit
+    )
     file.check_fits(scenario.cell.bin)
     check_target(scenario, file.target)
+    return file
 
 
 def name_of_target(scenario: Scenario) -> str:

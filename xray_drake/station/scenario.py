@@ -35,7 +35,7 @@ from xray_drake.configuration import (
     SEEDS,
     build,
     check,
-    check_tree,
+    configured,
     count,
     differences,
     fields_of,
@@ -234,10 +234,9 @@ def parse_scenario(
     named = tree.pop("cell") if isinstance(tree.get("cell"), str) else ""
     if isinstance(tree.get("cell"), dict):
         tree["cell"] = cell_tree(tree["cell"])
-    check_tree(tree, Scenario, source, DRAKE_RULES)
-    scenario = build(Scenario, tree, source)
-    if folder is not None:
-        scenario = with_paths(scenario, folder)
+    scenario = configured(
+        Scenario, tree, source, folder=folder, foreign=DRAKE_RULES
+    )
     if named:
         scenario.cell = load_cell(cell_path(named, folder or Path()))
     if "occupancy" not in tree.get("perception", {}):

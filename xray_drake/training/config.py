@@ -7,14 +7,12 @@ from typing import Any
 
 from xray_drake.choices import BOX_TARGETS
 from xray_drake.configuration import (
-    build,
     check,
-    check_tree,
     choice,
+    configured,
     count,
     number,
     path_field,
-    with_paths,
 )
 from xray_drake.occupancy.learned.weights import INPUTS
 from xray_drake.resources import models_dir
@@ -148,10 +146,9 @@ def load_config(name: str) -> TrainConfig:
         )
     try:
         tree = read_tree(read_text(path), str(path))
-        check_tree(tree, TrainConfig, str(path))
+        config = configured(TrainConfig, tree, str(path), folder=path.parent)
     except ConfigurationError as error:
         raise TrainingError(str(error)) from error
-    config = with_paths(build(TrainConfig, tree, str(path)), path.parent)
     check_config(config, str(path))
     return config
 
